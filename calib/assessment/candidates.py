@@ -1,5 +1,6 @@
 """Poses that could be measured, and what each would bring."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import get_args
@@ -221,7 +222,7 @@ def random_candidates(
     limits = joint_limits(robot)
     rng = np.random.default_rng(seed)
     parts: list[Array] = []
-    tried, rejected = 0, dict[str, int]()
+    tried, rejected = 0, Counter[str]()
     effort = Effort(robot, count)
     while (found := sum(map(len, parts))) < count and tried < most_tries * count:
         if tried >= _ENOUGH_TRIES and found * most_tries * _BY_CHANCE < tried:
@@ -231,9 +232,8 @@ def random_candidates(
         some = possible(robot, frames, drawn, sight, collision, effort)
         parts.append(some.readings)
         tried += some.tried
-        for reason, n in some.rejected.items():
-            rejected[reason] = rejected.get(reason, 0) + n
+        rejected.update(some.rejected)
     if found < count:
-        reasons = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items(), key=lambda item: -item[1]))
+        reasons = ", ".join(f"{n} {reason}" for reason, n in rejected.most_common())
         raise JobError(f"only {found} of {tried} random poses can be measured, and {count} are asked for: {reasons}.")
     return Candidates(read_only(np.concatenate(parts)[:count]), tried, rejected)

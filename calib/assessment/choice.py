@@ -44,7 +44,7 @@ from calib.foundations.linear import one_thread
 from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NUMERICAL_TOLERANCE
-from calib.identification.identify import identify
+from calib.identification.identify import identify, identify_near
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
@@ -281,7 +281,7 @@ def choose_terms(
     while taken:
         progress(f"choosing joint terms: fitting {taken} of them")
         chosen = with_terms(begun, _terms(geometric, steps, taken))
-        fit = identify(chosen, measurements, model_sigmas=model_sigmas, losses=losses)
+        fit = identify_near(geometric, chosen, measurements, model_sigmas=model_sigmas, losses=losses)
         if fit.converged:
             break
         taken //= 2

@@ -33,7 +33,7 @@ from calib.foundations.choices import FOLDS
 from calib.foundations.errors import IdentificationError, JobError
 from calib.identification.error_model import ErrorModel, error_model, with_terms
 from calib.identification.fit import Fit
-from calib.identification.identify import identify
+from calib.identification.identify import identify, identify_near
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
@@ -252,15 +252,20 @@ def _finder(
     ``geometries``: what a model leaves there that has no terms, and one that adds terms to it takes from there, in the
     same order of rows.
     """
+    whole: Fit | None = None
 
     def find(rows: ChosenRows) -> Fit:
+        nonlocal whole
         progress(*next(told))
         sigmas, own_losses = rows.sigmas(model_sigmas), rows.losses(losses)
         here = model.within(rows.sets)
         if choosing:
             known = geometries.pop(0) if geometries else None
             return choose_terms(here, rows.sets, model_sigmas=sigmas, losses=own_losses, geometric=known).fit
-        fit = identify(here, rows.sets, model_sigmas=sigmas, losses=own_losses)
+        if whole is None:
+            fit = whole = identify(here, rows.sets, model_sigmas=sigmas, losses=own_losses)
+        else:
+            fit = identify_near(whole, here, rows.sets, model_sigmas=sigmas, losses=own_losses)
         if geometries is not None:
             geometries.append(fit)
         return fit

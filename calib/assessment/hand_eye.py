@@ -79,7 +79,7 @@ def _hand_eye(fit: Fit, own: Sequence[JudgedSet]) -> HandEye:
         pose = rigid.inverse(frames.base) @ pose
     lens, sigmas = lens_of(fit, camera)
     r2 = np.concatenate([np.sum(one.after**2, axis=1) for one in own])
-    depth = np.concatenate([_depths(fit, one.data) for one in own])
+    depth = np.concatenate([np.abs(marks_before_camera(fit, one.data)[1][:, 2]) for one in own])
     return HandEye(
         camera.name,
         (data.tip or fit.robot.tip) if on_tip else link or fit.robot.base,
@@ -126,10 +126,9 @@ def lens_of(fit: Fit, camera: Camera) -> tuple[Lens, Array]:
     return lens_at(camera, values), sigmas
 
 
-def _depths(fit: Fit, data: Measurements) -> Array:
-    """Return how far marks (N,) are before the camera, in m."""
-    cameras, boards = _cameras_and_boards(fit, data)
-    return np.abs(marks_seen(cameras, boards, data.value[:, 2:])[1][:, 2])
+def marks_before_camera(fit: Fit, data: Measurements) -> tuple[Array, Array]:
+    """Return how boards are turned (N, 3, 3), and their marks (N, 3) in m, in the frames of the cameras."""
+    return marks_seen(*_cameras_and_boards(fit, data), data.value[:, 2:])
 
 
 def _cameras_and_boards(fit: Fit, data: Measurements) -> tuple[Array, Array]:

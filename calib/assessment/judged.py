@@ -46,6 +46,19 @@ class Check:
         """Return a check of plain numbers, also where NumPy's are given."""
         return cls(name, float(statistic), float(threshold), bool(passed), sentence, least)
 
+    @classmethod
+    def judged(
+        cls, name: str, statistic: float, threshold: float, said: str, otherwise: str, *, least: bool = False
+    ) -> "Check":
+        """Return a check of a statistic that a threshold bounds; where it does not, ``otherwise`` ends the sentence."""
+        passed = statistic >= threshold if least else statistic <= threshold
+        return cls.of(name, statistic, threshold, passed, f"{said}{'.' if passed else otherwise}", least=least)
+
+    @classmethod
+    def idle(cls, name: str, threshold: float, sentence: str, *, least: bool = False) -> "Check":
+        """Return a check that had nothing to judge, and so has passed."""
+        return cls.of(name, NOTHING, threshold, True, sentence, least=least)
+
     def answered(self) -> "Check":
         """Return the check as passed, since the user has answered for it."""
         return replace(self, passed=True, sentence=f"{self.sentence} The job accepts this.")

@@ -5,6 +5,7 @@ that of any poses (:mod:`calib.assessment.planning`), with the derivatives of pi
 camera, board and lens.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from calib.assessment.candidates import Candidates, possible
 from calib.assessment.design import DesignRows
-from calib.assessment.hand_eye import lens_of
+from calib.assessment.hand_eye import lens_of, marks_before_camera
 from calib.assessment.planning import Plan, planned
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
@@ -24,7 +25,6 @@ from calib.foundations.linear import one_thread
 from calib.foundations.units import DEG
 from calib.identification.fit import Fit
 from calib.identification.machine import values_at
-from calib.identification.observations.pixels import marks_seen
 from calib.identification.parameters import directions, scales
 from calib.identification.system import Problem, photograph_numbers, with_twists
 from calib.identification.together import Together
@@ -113,10 +113,11 @@ class Views:
     def refused(self, readings: Array) -> dict[str, BoolArray]:
         """Return which of N readings give no photograph that is of use, by the reason."""
         data, count = self._at(readings)
-        seen, turn = self._seen(data)
+        turn, seen = marks_before_camera(self.fit, data)
         camera = data.camera
         assert camera is not None and camera.size is not None, "as photographed"
-        known = np.linalg.norm(self._seen(self.photographed)[0], axis=1)
+        own_turn, own = marks_before_camera(self.fit, self.photographed)
+        known = np.linalg.norm(own, axis=1)
         distance = np.linalg.norm(seen, axis=1).reshape(-1, count)
         far = (distance.min(axis=1) < _NEARER * known.min()) | (distance.max(axis=1) > _FARTHER * known.max())
         before = (seen[:, 2] > 0.2 * np.linalg.norm(seen, axis=1)).reshape(-1, count).all(axis=1)
@@ -126,7 +127,6 @@ class Views:
         tilt = np.abs(np.sum(turn[:, :, 2] * seen, axis=1)) / np.linalg.norm(seen, axis=1)
         tilted = (tilt < np.cos(self.most_tilt)).reshape(-1, count).any(axis=1)
         # The side that is printed is the one that was photographed.
-        own, own_turn = self._seen(self.photographed)
         front = np.sign(np.median(np.sum(own_turn[:, :, 2] * own, axis=1)))
         behind = (front * np.sum(turn[:, :, 2] * seen, axis=1) <= 0.0).reshape(-1, count).any(axis=1)
         shown = before & inside.reshape(-1, count).all(axis=1) & ~behind
@@ -176,16 +176,6 @@ class Views:
         here = Together.of(together.length, together.angle, together.variance, number, rows.by_twist, sigma)
         return here.less(J)
 
-    def _seen(self, data: Measurements) -> tuple[Array, Array]:
-        """Return marks (n, 3) in the camera, and how their boards are turned (n, 3, 3)."""
-        fit, camera = self.fit, data.camera
-        assert camera is not None, "as photographed"
-        tools = fit.bases_of(data) @ data.tips(fit.model.robot, fit.machine.deviations) @ fit.tools_of(data)
-        targets = fit.machine.frames.targets[data.target]
-        cameras, boards = (tools, targets) if camera.camera_on == "tip" else (targets, tools)
-        turn, marks = marks_seen(cameras, boards, data.value[:, 2:])
-        return marks, turn
-
 
 def _spread(places: Array, count: int) -> list[int]:
     """Return which of places (n, 3) lie farthest from each other: each the farthest from those before it."""
@@ -209,7 +199,7 @@ def view_candidates(
         raise JobError(f"{count} views are asked for; allowed are 1 to {MOST_POSES}.")
     robot, rng = views.fit.robot, np.random.default_rng(seed)
     known = np.unique(views.photographed.readings, axis=0)
-    found, tried, rejected = np.zeros((0, known.shape[1])), 0, dict[str, int]()
+    found, tried, rejected = np.zeros((0, known.shape[1])), 0, Counter[str]()
     for _ in range(_MOST_ROUNDS):
         if len(found) >= count:
             return Candidates(read_only(rng.permutation(found)[:count]), tried, rejected)
@@ -219,17 +209,15 @@ def view_candidates(
         drawn = begin[rng.integers(0, len(begin), count)]
         drawn = drawn + rng.normal(scale=_AWAY, size=drawn.shape) * rng.uniform(0.0, 1.0, (count, 1))
         some = possible(robot, views.fit.machine.frames, drawn, None, collision)
-        reasons = dict(some.rejected)
+        rejected.update(some.rejected)
         kept = some.readings
         if len(kept):
             refused = views.refused(kept)
-            reasons |= {reason: int(np.count_nonzero(mask)) for reason, mask in refused.items()}
+            rejected.update({reason: int(np.count_nonzero(mask)) for reason, mask in refused.items()})
             kept = kept[~np.any(list(refused.values()), axis=0)]
         found, tried = np.concatenate([found, kept]), tried + count
-        for reason, n in reasons.items():
-            rejected[reason] = rejected.get(reason, 0) + n
-    reasons_said = ", ".join(f"{n} {reason}" for reason, n in sorted(rejected.items(), key=lambda item: -item[1]))
-    raise JobError(f"only {len(found)} of {tried} views show the board, and {count} are asked for: {reasons_said}.")
+    reasons = ", ".join(f"{n} {reason}" for reason, n in rejected.most_common())
+    raise JobError(f"only {len(found)} of {tried} views show the board, and {count} are asked for: {reasons}.")
 
 
 @checked

@@ -71,9 +71,9 @@ def plan(
         return
     with telling.progress(steps=4) as say:
         say("reading the arm")
-        robot, model, roots = given.arm(arm, tip, observes, tuple(mesh_root or ()))
+        robot, model, roots, columns = given.arm(arm, tip, observes, tuple(mesh_root or ()))
         frames = Frames(given.base(tracker)[None], rigid.translation(given.point(tool, "tool"))[None])
-        right = None if working is None else given.table_readings(working, robot)
+        right = None if working is None else given.table_readings(working, robot, columns)
         noise = (given.parsed(sigma, "sigma"), given.parsed(sigma_angle, "sigma_angle", "angle"))
         measurement = PlannedMeasurement(
             frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"), right
@@ -88,7 +88,7 @@ def plan(
         if _NUMBER.fullmatch(candidates):
             found = random_candidates(robot, frames, given.parsed_count(candidates), sight, collision, seed=seed)
         else:
-            found = possible(robot, frames, given.table_readings(Path(candidates), robot), sight, collision)
+            found = possible(robot, frames, given.table_readings(Path(candidates), robot, columns), sight, collision)
         say(f"choosing {count} of {len(found.readings)} poses")
         planned = plan_of(
             model,
@@ -96,7 +96,7 @@ def plan(
             candidates=found.readings,
             measurement=measurement,
             criterion=criterion,
-            measured=None if measured is None else given.table_readings(measured, robot),
+            measured=None if measured is None else given.table_readings(measured, robot, columns),
             target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
         )
         write_new(out, given.pose_table(robot, planned.readings))

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,10 +22,11 @@ from calib.foundations.units import DISPLAY_OF, Dimension
 from calib.foundations.words import shown
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.identify import identify
+from calib.job.columns import columns_alike
 from calib.job.inputs import load
 from calib.job.stated import load_arm
 from calib.measurement.columns import stacked
-from calib.measurement.table import read_table
+from calib.measurement.table import AS_WRITTEN, Columns, read_table
 from calib.presentation.command_tables import enough_sentence, forecast_sheet, index_sheet
 from calib.presentation.console import warning
 from calib.robot.collision import SelfCollision, self_collision
@@ -42,23 +44,30 @@ def pose_table(robot: Robot, readings: Array) -> str:
     return csv_text([header, *([f"{value:.4f}" for value in row] for row in readings * factors)])
 
 
-def arm(
-    source: str, tip: str | None, observes: Observed, roots: tuple[Path, ...]
-) -> tuple[Robot, ErrorModel, tuple[Path, ...]]:
-    """Return an arm, what is to be found of it, and the folders that may be read for its meshes."""
+class PlannedArm(NamedTuple):
+    """An arm, what is to be found of it, the folders that may be read for its meshes, and how tables are read."""
+
+    robot: Robot
+    model: ErrorModel
+    mesh_roots: tuple[Path, ...]
+    columns: Columns
+
+
+def arm(source: str, tip: str | None, observes: Observed, roots: tuple[Path, ...]) -> PlannedArm:
+    """Return the arm of a job or of a URDF; of a job with several tips that of ``tip``."""
     if source.endswith(".toml"):
         arm = load_arm(Path(source))
         if tip is not None and tip not in arm.robot.links:
             tips = ", ".join(map(repr, arm.robot.links))
             raise JobError(f"{source}: {tip!r} is not a tip of the job; allowed is {tips}.")
-        if tip is None or tip == arm.robot.tip:
-            return arm.robot, arm.model, (*arm.mesh_roots, *roots)
-        other = replace(arm.model, robot=arm.model.robot.with_tip(tip))
-        return arm.robot.with_tip(tip), other, (*arm.mesh_roots, *roots)
+        robot, model = arm.robot, arm.model
+        if tip is not None and tip != arm.robot.tip:
+            robot, model = robot.with_tip(tip), replace(model, robot=model.robot.with_tip(tip))
+        return PlannedArm(robot, model, (*arm.mesh_roots, *roots), columns_alike(arm.job.measurements))
     robot = load_robot(source, tip)
     model = error_model(robot, offsets="all", placements="all", tool="pose" if observes == "pose" else "position")
     own = (examples_folder().parents[1],) if source.startswith(EXAMPLE) else (Path(source).parent,)
-    return robot, model, (*own, *roots)
+    return PlannedArm(robot, model, (*own, *roots), AS_WRITTEN)
 
 
 def collision(robot: Robot, roots: tuple[Path, ...], *, wanted: bool) -> tuple[SelfCollision | None, list[str]]:
@@ -112,9 +121,9 @@ def sight(tracker: str | None, facing: str | None, acceptance: str, nearest: str
     )
 
 
-def table_readings(path: Path, robot: Robot) -> Array:
+def table_readings(path: Path, robot: Robot, columns: Columns) -> Array:
     """Return the readings (N, nr) of a table, whatever else is in it."""
-    table = read_table(path)
+    table = read_table(path, columns)
     dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in robot.readings}
     if missing := [name for name in dimensions if name not in table.columns]:
         raise MeasurementError(f"{path}: there is no column {', '.join(map(repr, missing))} of a joint.")
@@ -192,7 +201,8 @@ def plan_photographs(
         say("finding camera, board and lens")
         fit = identify(inputs.model, [*inputs.identify, *inputs.validate])
         views = Views(fit)
-        right = None if working is None else table_readings(working, fit.robot)
+        columns = columns_alike(inputs.job.measurements)
+        right = None if working is None else table_readings(working, fit.robot, columns)
         touching, notes = collision(fit.robot, (*inputs.mesh_roots, *mesh_roots), wanted=collisions)
         say("sampling views")
         found = view_candidates(views, parsed_count(candidates), touching, seed=seed)

@@ -32,7 +32,7 @@ def uncertainty(
     with loading():
         from calib.foundations.files import refuse_taken, write_new
         from calib.machine.model_file import load_machine
-        from calib.machine.tool_uncertainty import tool_uncertainty, uncertainty_map
+        from calib.machine.tool_uncertainty import uncertainty_map
         from calib.machine.uncertainty import rms_by_cause
         from calib.presentation.acceptance_tables import map_csv, map_sheet
         from calib.presentation.sheets import budget_sheet
@@ -46,14 +46,13 @@ def uncertainty(
             limits=None if whole else machine.known_uncertainty.identified,
             progress=lambda done, of: say(f"{done} of {of} poses"),
         )
-        near = tool_uncertainty(machine, found.readings, tool)
     budget = rms_by_cause(found.budget)
     if out is not None:
         write_new(out, map_csv(found, machine.robot.readings))
     telling.tell(
-        lambda: {"sigmas": found.percentiles(), "known": near.known_shares(), "budget": budget},
+        lambda: {"sigmas": found.percentiles(), "known": found.known_shares(), "budget": budget},
         lambda: [
-            map_sheet(found, near.known),
+            map_sheet(found, found.known),
             budget_sheet(budget, len(found.readings)),
             *([] if out is None else [f"Every pose is in {out}."]),
         ],

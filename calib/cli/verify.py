@@ -35,12 +35,14 @@ def verify(
     """Verify a calibrated machine by new measurements.
 
     Ten points or more are enough. It passes when every error is within the limit, if one is given, and the errors
-    together are no larger than the stated uncertainty explains (chi-square test, 1 %). Exit codes: 0 passed, 1 bad
-    input, 2 wrong usage, 3 failed.
+    together are no larger than the stated uncertainty explains (chi-square test, 1 %). Without --column, --ignore and
+    --orientation, columns are read as the calibration read them. Exit codes: 0 passed, 1 bad input, 2 wrong usage,
+    3 failed.
     """
     with loading():
         from calib.assessment.acceptance import verify as judged
         from calib.foundations.ranges import RANGES, parse_within
+        from calib.job.columns import columns_of_results
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import outside_identified
         from calib.measurement.read import read_measurements
@@ -57,7 +59,9 @@ def verify(
             observes,
             sigma=None if sigma is None else parse_within(sigma, RANGES["sigma"], "sigma"),
             in_order=in_order,
-            columns=Columns(renamed(column), tuple(ignore or ()), orientation),
+            columns=Columns(renamed(column), tuple(ignore or ()), orientation)
+            if column or ignore or orientation
+            else columns_of_results(results, observes),
         ).named(tool=tool, setup=setup)
         say("judging")
         found = judged(

@@ -6,8 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
+
+# Of a target there is one answer of these; the steps of all searches for it count.
+_ANSWERS = ("readings", "change", "reached", "position_error", "orientation_error")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,15 +48,10 @@ class Corrections:
 
 def joined(parts: Sequence[Corrections]) -> Corrections:
     """Return the corrections of several blocks of targets as one."""
-    return Corrections(
-        read_only(np.concatenate([part.readings for part in parts])),
-        read_only(np.concatenate([part.change for part in parts])),
-        read_only_view(np.concatenate([part.reached for part in parts])),
-        read_only(np.concatenate([part.position_error for part in parts])),
-        read_only(np.concatenate([part.orientation_error for part in parts])),
-        tuple(text for part in parts for text in part.reasons),
-        read_only_view(np.concatenate([part.steps for part in parts])),
-    )
+    arrays = {
+        name: read_only_view(np.concatenate([getattr(part, name) for part in parts])) for name in (*_ANSWERS, "steps")
+    }
+    return Corrections(reasons=tuple(text for part in parts for text in part.reasons), **arrays)
 
 
 def better(found: Corrections, more: Corrections, rows: IntArray) -> Corrections:
@@ -61,23 +59,11 @@ def better(found: Corrections, more: Corrections, rows: IntArray) -> Corrections
     nearer = np.nan_to_num(more.position_error, nan=np.inf) < np.nan_to_num(found.position_error[rows], nan=np.inf)
     take = more.reached | nearer
     index, mine = rows[take], np.flatnonzero(take)
-
-    def merged(old: Array, new: Array) -> Array:
-        out = old.copy()
-        out[index] = new[mine]
-        return read_only_view(out)
-
+    merged = {name: getattr(found, name).copy() for name in (*_ANSWERS, "steps")}
+    for name in _ANSWERS:
+        merged[name][index] = getattr(more, name)[mine]
+    merged["steps"][rows] += more.steps
     reasons = list(found.reasons)
     for to, n in zip(index, mine, strict=True):
         reasons[to] = more.reasons[n]
-    steps = found.steps.copy()
-    steps[rows] += more.steps
-    return Corrections(
-        merged(found.readings, more.readings),
-        merged(found.change, more.change),
-        read_only_view(merged(found.reached.astype(np.float64), more.reached.astype(np.float64)) > 0.5),
-        merged(found.position_error, more.position_error),
-        merged(found.orientation_error, more.orientation_error),
-        tuple(reasons),
-        read_only_view(steps),
-    )
+    return Corrections(reasons=tuple(reasons), **{name: read_only_view(own) for name, own in merged.items()})

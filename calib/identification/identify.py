@@ -25,7 +25,7 @@ from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.memory import with_memory
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter, scales
-from calib.identification.solver import Solution, solution_at, solve
+from calib.identification.solver import Near, Solution, solution_at, solve
 from calib.identification.system import Problem, photograph_numbers, residuals, with_twists
 from calib.identification.together import FEWEST, Together, likeliest
 from calib.measurement.measurements import Measurements
@@ -83,6 +83,23 @@ def identify_alike(
         return _identify(fit.model.within(measurements), measurements, free, start, "nearest", None, fit.losses, kept)
 
 
+def identify_near(
+    fit: Fit,
+    model: ErrorModel,
+    measurements: Measurements | Sequence[Measurements],
+    *,
+    model_sigmas: Sequence[float | None] | None = None,
+    losses: Sequence[Loss] | None = None,
+) -> Fit:
+    """Identify a model of the same arm from rows of the same machine as a fit, whose values are nearly those sought.
+
+    Other options as in :func:`identify`. Base, tools and targets begin, and are held, where those of the nominal robot
+    are in ``fit``, which has all of them and was begun there itself; the search goes on from its values.
+    """
+    with one_thread():
+        return _identify(model, measurements, None, None, "nearest", model_sigmas, losses, near=fit)
+
+
 def _identify(
     model: ErrorModel,
     measurements: Measurements | Sequence[Measurements],
@@ -92,6 +109,7 @@ def _identify(
     model_sigmas: Sequence[float | None] | None,
     losses: Sequence[Loss] | None,
     together: tuple[Together | None, ...] | None = None,
+    near: Fit | None = None,
 ) -> Fit:
     if null_space not in ("nearest", "minimal", "refuse"):
         raise JobError(f"null_space: {null_space!r} is not one of nearest, minimal, refuse.")
@@ -99,18 +117,12 @@ def _identify(
     sets, parameters = whole.measurements, _chosen(whole.parameters, free)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
-    for s in model_sigmas or ():
-        if s is not None:
-            # Of lengths, angles or pixels: which of them, each set says.
-            low, high = RANGES["model_sigma"].ends[0], RANGES["model_sigma of pixels"].ends[1]
-            if not (s == 0.0 or low <= s <= high):
-                raise JobError(f"model_sigmas: {s!r} is out of range; allowed is 0, or {low:g} to {high:g}.")
-    variances = None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
-
-    aligned = whole.reference
+    variances = _stated(model_sigmas)
+    if near is not None:
+        whole = replace(whole, reference=_frames_of(near.nominal.frames, near, whole.reference, sets[0]))
     before = replace(whole, parameters=tuple(p for p in whole.parameters if not p.of_robot))
-    x0 = values_at(model.robot, before.parameters, aligned)
-    fitted = not before.parameters or is_fit(sets)
+    x0 = values_at(model.robot, before.parameters, whole.reference)
+    fitted = not before.parameters or is_fit(sets) or near is not None
     nominal = before.machine(x0 if fitted else _with_anchors(before, solve(before, x0, variances), variances).x)
 
     reference, deviations = _beginning(begin, sets[0], nominal.frames)
@@ -120,7 +132,7 @@ def _identify(
         problem = replace(problem, given_losses=tuple(losses))
     before_fit = residuals(model.robot, sets, nominal)
     x0 = values_at(model.robot, parameters, reference, deviations)
-    problem, found, learned = solve_learning(problem, x0, variances)
+    problem, found, learned = solve_learning(problem, x0, variances, None if near is None else _near(near, problem, x0))
     found = _with_anchors(problem, found, variances)
     if found.freed:
         problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
@@ -270,6 +282,16 @@ def _chosen(parameters: tuple[Parameter, ...], free: Sequence[str] | None) -> tu
     return tuple(p for p in parameters if p.nuisance or any(fnmatch.fnmatchcase(p.name, pattern) for pattern in free))
 
 
+def _stated(model_sigmas: Sequence[float | None] | None) -> tuple[float | None, ...] | None:
+    """Return the variances of stated sigmas. Raises JobError when one is out of range."""
+    # Of lengths, angles or pixels: which of them, each set says.
+    low, high = RANGES["model_sigma"].ends[0], RANGES["model_sigma of pixels"].ends[1]
+    for s in model_sigmas or ():
+        if not (s is None or s == 0.0 or low <= s <= high):
+            raise JobError(f"model_sigmas: {s!r} is out of range; allowed is 0, or {low:g} to {high:g}.")
+    return None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
+
+
 def _refuse_losses(losses: Sequence[Loss] | None, sets: Sequence[Measurements]) -> None:
     if losses is None:
         return
@@ -280,11 +302,25 @@ def _refuse_losses(losses: Sequence[Loss] | None, sets: Sequence[Measurements]) 
             raise JobError(f"losses: {loss!r} is not one of {', '.join(get_args(Loss))}.")
 
 
+def _near(fit: Fit, problem: Problem, x0: Array) -> Near:
+    """Return where a fit of the same machine has the minimum of a problem; what it does not know is as at x0 (p,)."""
+    known = dict(zip((parameter.name for parameter in fit.parameters), fit.values, strict=True))
+    x = np.array([known.get(parameter.name, at) for parameter, at in zip(problem.parameters, x0, strict=True)])
+    sets = [data.where for data in fit.measurements]
+    own = dict(zip([(sets[noise.measurements], noise.quantity) for noise in fit.noise], fit.variances, strict=True))
+    return Near(x, [own[problem.measurements[c.measurements].where, c.quantity] for c in problem.components])
+
+
 def _beginning(begin: Fit | None, names: Measurements, frames: Frames) -> tuple[Frames, Deviations | None]:
     """Return frames and deviations to begin from: of an earlier fit, what it did not know as in ``frames``."""
     if begin is None:
         return frames, None
-    old, known = begin.machine.frames, begin.measurements[0]
+    return _frames_of(begin.machine.frames, begin, frames, names), begin.machine.deviations
+
+
+def _frames_of(old: Frames, fit: Fit, frames: Frames, names: Measurements) -> Frames:
+    """Return frames that a fit knows, by the ``names`` of these measurements; others as in ``frames``."""
+    known = fit.measurements[0]
 
     def taken(new: Array, new_names: Sequence[object], old: Array, old_names: Sequence[object]) -> Array:
         found = dict(zip(old_names, old, strict=True))
@@ -296,7 +332,7 @@ def _beginning(begin: Fit | None, names: Measurements, frames: Frames) -> tuple[
         taken(frames.tools, names.tools, old.tools, known.tools),
         taken(frames.targets, names.targets, old.targets, known.targets),
         taken(frames.scalars, names.scalars, old.scalars, known.scalars),
-    ), begin.machine.deviations
+    )
 
 
 def _common_rank(found: Solution) -> int:

@@ -15,7 +15,7 @@ from calib.foundations.arrays import Array, BoolArray
 from calib.identification import weights
 from calib.identification.parameters import Parameter, scales
 from calib.identification.set_up_motions import without
-from calib.identification.solver import Solution, solve
+from calib.identification.solver import Near, Solution, solve
 from calib.identification.system import Problem
 from calib.identification.widths import WIDEST, NormalEquations, likeliest_widths, likelihood
 
@@ -52,17 +52,19 @@ def solve_learning(
     problem: Problem,
     x0: Array,
     variances: Sequence[float | None] | None,
+    near: Near | None = None,
 ) -> tuple[Problem, Solution, tuple[LearnedPrior, ...]]:
     """Solve a problem from x0 (p,) and learn the widths of its groups; returns it with the learned priors.
 
-    Raises what :func:`calib.identification.solver.solve` raises.
+    ``near``: where the first minimum is, if that is nearly known. Raises what
+    :func:`calib.identification.solver.solve` raises.
     """
     names = tuple(dict.fromkeys(p.group for p in problem.parameters if p.group is not None))
     if not names:
-        return problem, solve(problem, x0, variances), ()
+        return problem, solve(problem, x0, variances, near), ()
     widths = np.ones(len(names))
     problem = _with_widths(problem, names, widths)
-    found = solve(problem, x0, variances)
+    found = solve(problem, x0, variances, near)
     rows = _equations(problem, found, variances, names)
     seen = likelihood(rows, widths, np.ones(len(rows.counts))).gamma
     few = np.asarray(seen < _FEWEST)

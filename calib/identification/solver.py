@@ -95,10 +95,20 @@ class Solution(NamedTuple):
         return self.spread.of()
 
 
-def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | None = None) -> Solution:
+class Near(NamedTuple):
+    """What is known of a minimum beforehand: where it nearly is (p,), and the ``variances`` of components there."""
+
+    x: Array
+    variances: Sequence[float]
+
+
+def solve(
+    problem: LeastSquares, x0: Array, variances: Sequence[float | None] | None = None, near: Near | None = None
+) -> Solution:
     """Solve a problem from x0 (p,); ``variances`` of the model part for every component; None is estimated.
 
-    Raises IdentificationError when there are no more rows and stated priors than the rank.
+    Where the minimum is nearly known, the search goes on from there; frames are still held where x0 has them. Raises
+    IdentificationError when there are no more rows and stated priors than the rank.
     """
     s = scales(problem.parameters)
     fixed = (None,) * len(problem.components) if variances is None else tuple(variances)
@@ -109,13 +119,17 @@ def solve(problem: LeastSquares, x0: Array, variances: Sequence[float | None] | 
     begin = search.beginning()
     first = search.evaluator(x0 / s, begin.sigmas)
     _refuse_too_few(problem, first, search.prior)
-    z = _levenberg_marquardt(search, begin.sigmas, x0 / s)
-    for narrowed in _NARROWER:
-        search = search._replace(prior=prior.weighed(narrowed))
-        end, converged = search.gauss_newton(z, begin)
-        if converged:
-            break
-        z, begin = end.z, end.weighted_by
+    narrowed, converged = 1.0, False
+    if near is not None:
+        end, converged = search.gauss_newton(near.x / s, search.beginning(near.variances), near=True)
+    if not converged:
+        z = _levenberg_marquardt(search, begin.sigmas, x0 / s)
+        for narrowed in _NARROWER:
+            search = search._replace(prior=prior.weighed(narrowed))
+            end, converged = search.gauss_newton(z, begin)
+            if converged:
+                break
+            z, begin = end.z, end.weighted_by
     freed, last = False, end
     for held, wider, released in _wider(problem, prior, narrowed) if converged else ():
         ended = search._replace(prior=wider).released(last)
@@ -313,9 +327,9 @@ class _Search(NamedTuple):
     prior: _Prior
     fixed: Sequence[float | None]
 
-    def beginning(self) -> _Noise:
-        """Return the noise to begin with, which no residual has to do with."""
-        v = _keep(self.fixed, weights.search_variances(self.problem))
+    def beginning(self, variances: Sequence[float] | None = None) -> _Noise:
+        """Return the noise to begin with: of known variances, or what no residual has to do with."""
+        v = _keep(self.fixed, weights.search_variances(self.problem) if variances is None else variances)
         sigmas = weights.sigmas_of(self.problem, v, search=True)
         none = np.ones(len(v))
         return _Noise(v, sigmas, none, True, (0.0,) * len(v), 1.0, self.prior)
@@ -388,8 +402,10 @@ class _Search(NamedTuple):
         clearly = begin.gain >= _CLEARLY_HELD * (begin.most_gained + noise.prior.cost(held.z))
         return self.gauss_newton(held.z, noise) if clearly else None
 
-    def gauss_newton(self, z: Array, weighted_by: _Noise) -> tuple[_Point, bool]:
+    def gauss_newton(self, z: Array, weighted_by: _Noise, *, near: bool = False) -> tuple[_Point, bool]:
         """Return the last good point from z (p,) on, and whether no more than a negligible step is left from there.
+
+        ``near``: the minimum is at hand, and what is left is judged by its gain alone.
 
         Full steps come first. What the data cannot tell apart is a curved valley, along which a step raises the cost of
         the data: it is judged after corrections that lead back to the valley's floor, and damped where it fails then.
@@ -399,7 +415,7 @@ class _Search(NamedTuple):
             return _Point.of(z, evaluation, weighted_by, self.noise(z, evaluation, weighted_by))
 
         def slowly(path: Sequence[_Point], failures: int, steps: int) -> bool:
-            return self.prior.has_weak and (failures > 0 or steps > _MANY_STEPS or _slow(path))
+            return near or (self.prior.has_weak and (failures > 0 or steps > _MANY_STEPS or _slow(path)))
 
         good = tried = accepted(z, self.evaluator(z, weighted_by.sigmas), weighted_by)
         path, damping, failures = [good], 0.0, 0

@@ -5,10 +5,11 @@ has the same cost, gradient and Gauss-Newton matrix as the full system. It is ac
 memory does not grow with rows times parameters.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeVar
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,8 +37,6 @@ from calib.robot.robot import Deviations, Nominals, Robot, TipModel, TipMotion
 # Measured numbers in a block: so many that a call costs little beside them, few enough that memory does not grow.
 BLOCK = 3072
 
-_Kept = TypeVar("_Kept")
-
 
 class Component(NamedTuple):
     """Rows of one physical quantity in one set of measurements, which share a noise model."""
@@ -47,17 +46,7 @@ class Component(NamedTuple):
     columns: slice
 
 
-class _Made(dict[object, Any]):
-    """What is made of a problem when it is first asked for, and kept with it. Not to be shared by threads."""
-
-    def once(self, what: object, make: Callable[[], _Kept]) -> _Kept:
-        if what not in self:
-            self[what] = make()
-        found: _Kept = self[what]
-        return found
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Problem:
     """The unknowns, the frames they are relative to, and the measurements that are to be explained.
 
@@ -75,7 +64,6 @@ class Problem:
     given_losses: tuple[Loss, ...] | None = None
     nominals: Nominals = field(default_factory=Nominals)
     together: tuple[Together | None, ...] = ()
-    _made: _Made = field(init=False, default_factory=_Made)
 
     @property
     def losses(self) -> tuple[Loss, ...]:
@@ -102,40 +90,31 @@ class Problem:
             for quantity in QUANTITIES[data.kind]
         )
 
-    @property
+    @cached_property
     def states(self) -> States:
         """How the machine follows the parameters."""
-        return self._made.once("states", self._states)
-
-    def _states(self) -> States:
         return States(self.model.robot, self.parameters, self.reference, self.held)
 
-    @property
+    @cached_property
     def motions(self) -> Motions | None:
         """How the whole set-up may move with no effect on what is measured."""
-        return self._made.once("motions", self._motions)
-
-    def _motions(self) -> Motions | None:
         return motions(self.measurements, self.model.targets, self.relations, self.reference.base[:3, 3])
 
-    @property
+    @cached_property
     def split(self) -> Split:
         """Which parameters are common, and which those of blocks: of many rows or of a few.
 
         Known relations join targets to each other. What the whole set-up's motions are imitated by is seen together,
         targets aside; and a width that is to be learned is judged by all that is unknown.
         """
-        return self._made.once("split", self._split)
-
-    @property
-    def targets_apart(self) -> Split:
-        """The unknowns of every target that no relation joins to others, apart from all others."""
-        return self._made.once("targets apart", lambda: self._by_what_is_known(targets_alone=True))
-
-    def _split(self) -> Split:
         if any(parameter.group is not None for parameter in self.parameters):
             return Split.none(len(self.parameters))
         return self._by_what_is_known(targets_alone=self.motions is not None)
+
+    @cached_property
+    def targets_apart(self) -> Split:
+        """The unknowns of every target that no relation joins to others, apart from all others."""
+        return self._by_what_is_known(targets_alone=True)
 
     def _by_what_is_known(self, *, targets_alone: bool) -> Split:
         names = self.measurements[0].targets if self.measurements else ()
@@ -151,8 +130,14 @@ class Problem:
     def selection(self, units: Array, split: Split | None = None) -> "Selection":
         """Return what of the state the parameters move, for ``units`` (p,) of each; without a split all are common."""
         # Of a search it is always the same one.
-        key = "selection", split, units.tobytes()
-        return self._made.once(key, lambda: Selection(self.states, units, split))
+        key = split, units.tobytes()
+        if key not in self._selections:
+            self._selections[key] = Selection(self.states, units, split)
+        return self._selections[key]
+
+    @cached_property
+    def _selections(self) -> "dict[tuple[Split | None, bytes], Selection]":
+        return {}
 
     def residuals(self, x: Array) -> tuple[Array, ...]:
         """Return the residuals (N, d) of every set at parameter values x (p,)."""

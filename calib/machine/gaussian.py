@@ -19,10 +19,19 @@ from scipy.spatial.distance import cdist
 
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
-from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
 from calib.foundations.units import MM
-from calib.machine.grid import FRAMES, Frame, Leaning, axes_of, head_of, load_residuals, residual_bytes
+from calib.machine.grid import (
+    Frame,
+    Leaning,
+    axes_of,
+    head_of,
+    joint_numbers,
+    load_residuals,
+    measured_errors,
+    residual_bytes,
+)
 from calib.machine.npz import NotReadableError
 from calib.robot.robot import Reading
 
@@ -150,16 +159,9 @@ def gaussian_from_residuals(
     Raises JobError when an option cannot be used; MeasurementError for rows of other shapes, rows that are not finite,
     and too few or too many rows.
     """
-    readings, errors = np.asarray(readings, dtype=np.float64), np.asarray(errors, dtype=np.float64)
     names = [reading.name for reading in robot_readings]
-    numbers = _numbers(names, joints, frame)
-    if readings.shape != (len(errors), len(names)) or errors.shape != (len(readings), 3):
-        raise MeasurementError(
-            f"{where}: readings {readings.shape} and errors {errors.shape} must have the shapes "
-            f"(N, {len(names)}) and (N, 3)."
-        )
-    if not (np.isfinite(readings).all() and np.isfinite(errors).all()):
-        raise MeasurementError(f"{where}: readings and errors must be finite numbers.")
+    numbers = sorted(joint_numbers(names, names if joints is None else joints, frame))
+    readings, errors = measured_errors(readings, errors, len(names), where)
     if not _FEWEST_ROWS <= len(errors) <= _MOST_ROWS:
         raise MeasurementError(
             f"{where}: a Gaussian process is made of {_FEWEST_ROWS} to {_MOST_ROWS} rows, and there are {len(errors)}."
@@ -171,19 +173,6 @@ def gaussian_from_residuals(
         kernel = likeliest_kernel(points, errors)
         dimensions = tuple((reading.name, reading.dimension) for reading in robot_readings)
         return _trained(dimensions, tuple(numbers), points, errors, frame, kernel)
-
-
-def _numbers(names: Sequence[str], joints: Sequence[str] | None, frame: str) -> list[int]:
-    if frame not in FRAMES:
-        raise JobError(f"the frame of a residual model is {frame!r}; allowed are {', '.join(FRAMES)}.")
-    if joints is None:
-        return list(range(len(names)))
-    for name in joints:
-        if name not in names:
-            raise JobError(f"a residual model cannot follow {name!r}; the joints that are read are {', '.join(names)}.")
-    if not joints or len(set(joints)) < len(joints):
-        raise JobError("the joints of a residual model must be at least one, each named once.")
-    return sorted(names.index(name) for name in joints)
 
 
 def in_row_order(points: Array, errors: Array) -> tuple[Array, Array]:
@@ -255,25 +244,18 @@ def load_gaussian(path: str | Path, robot_readings: Sequence[Reading] | None = N
 
 
 def _gaussian_of(arrays: Mapping[str, npt.NDArray[Any]]) -> GaussianResiduals:
-    frame, readings = head_of(arrays, {})
+    frame, readings, numbers = head_of(arrays, {})
     for key, array in arrays.items():
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise NotReadableError(f"{key} has a value that is not a finite number")
-    joints = arrays["joints"]
-    numbers = tuple(int(j) for j in joints.ravel())
-    if (
-        joints.ndim != 1
-        or not numbers
-        or sorted(set(numbers)) != list(numbers)
-        or not set(numbers) <= {*range(len(readings))}
-    ):
-        raise NotReadableError("its joints are not different ones of the robot's, in order")
+    if sorted(numbers) != list(numbers):
+        raise NotReadableError("its joints are not in the order of the robot's")
     points, errors, scales = arrays["points"], arrays["errors"], arrays["scales"]
     n = len(points) if points.ndim else 0
     if not 0 < n <= _MOST_ROWS or points.shape != (n, len(numbers)) or errors.shape != (n, 3):
         raise NotReadableError("its errors are not those of its points")
     sizes = (arrays["amplitude"], scales, arrays["noise"])
-    if sizes[0].shape != () or sizes[2].shape != () or scales.shape != joints.shape or min(map(np.min, sizes)) <= 0.0:
+    if [size.shape for size in sizes] != [(), (len(numbers),), ()] or min(map(np.min, sizes)) <= 0.0:
         raise NotReadableError("its amplitude, scales and noise are not positive numbers")
     kernel = Kernel(float(sizes[0]), read_only(scales), float(sizes[2]))
     try:

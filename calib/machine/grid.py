@@ -47,13 +47,6 @@ class Leaning(NamedTuple):
     sigma: Array
 
 
-class _Cells(NamedTuple):
-    """Cells (N, k) of N points by their lower corners, and the places (N, k) in them, from 0 to 1."""
-
-    lower: IntArray
-    place: Array
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SectorGrid:
     """Error vectors at the nodes of a regular grid over some joints. Made by :func:`grid_from_residuals`.
@@ -140,7 +133,8 @@ class SectorGrid:
             inside &= missing <= _ROUNDING
         return np.asarray(inside)
 
-    def _cells(self, points: Array) -> _Cells:
+    def _cells(self, points: Array) -> tuple[IntArray, Array]:
+        """Return the cells (N, k) of N points by their lower corners, and the places (N, k) in them, from 0 to 1."""
         lower = np.stack(
             [
                 np.clip(np.searchsorted(axis, points[:, k], side="right") - 1, 0, len(axis) - 2)
@@ -149,7 +143,7 @@ class SectorGrid:
             axis=1,
         )
         low, high = (np.stack([axis[lower[:, k] + i] for k, axis in enumerate(self.axes)], axis=1) for i in (0, 1))
-        return _Cells(lower, (points - low) / (high - low))
+        return lower, (points - low) / (high - low)
 
 
 def axes_of(frame: Frame, base: Array, tips: Array) -> Array:
@@ -201,18 +195,14 @@ def grid_from_residuals(
     Raises JobError when an option cannot be used, and MeasurementError naming the first row that is not on the grid or
     appears twice, the first node that is missing, or the joint that moves and is not one of the grid's.
     """
-    readings, errors = np.asarray(readings, dtype=np.float64), np.asarray(errors, dtype=np.float64)
     place = where if isinstance(where, str) else where[0].rpartition(":")[0] if where else "nodes"
     given = axes or {}
     names = [reading.name for reading in robot_readings]
-    numbers = _numbers(names, joints, frame, given)
-    if readings.shape != (len(errors), len(names)) or errors.shape != (len(readings), 3) or not len(errors):
-        raise MeasurementError(
-            f"{place}: readings {readings.shape} and errors {errors.shape} must have the shapes "
-            f"(N, {len(names)}) and (N, 3)."
-        )
-    if not (np.isfinite(readings).all() and np.isfinite(errors).all()):
-        raise MeasurementError(f"{place}: readings and errors must be finite numbers.")
+    numbers = joint_numbers(names, joints, frame)
+    for name in given:
+        if name not in joints:
+            raise JobError(f"nodes are given for {name!r}, which is not a joint of the grid: {', '.join(joints)}.")
+    readings, errors = measured_errors(readings, errors, len(names), place)
     at = [f"{place}, row {n}" for n in range(len(readings))] if isinstance(where, str) else list(where)
     reference = _reference(readings, robot_readings, numbers, at)
     placed = [_placed(readings[:, j], robot_readings[j], at, given.get(names[j])) for j in numbers]
@@ -249,20 +239,29 @@ def grid_from_residuals(
     )
 
 
-def _numbers(names: Sequence[str], joints: Sequence[str], frame: str, axes: Mapping[str, npt.ArrayLike]) -> list[int]:
+def joint_numbers(names: Sequence[str], joints: Sequence[str], frame: str) -> list[int]:
+    """Return the joints of a residual model, by number. Raises JobError for others, and for another frame."""
     if frame not in FRAMES:
-        raise JobError(f"the frame of a grid is {frame!r}; allowed are {', '.join(FRAMES)}.")
-    if not joints:
-        raise JobError("a grid spans at least one joint, and none is named.")
+        raise JobError(f"the frame of a residual model is {frame!r}; allowed are {', '.join(FRAMES)}.")
     for name in joints:
         if name not in names:
-            raise JobError(f"a grid cannot span {name!r}; the joints that are read are {', '.join(names)}.")
-        if list(joints).count(name) > 1:
-            raise JobError(f"the grid's joint {name!r} is named more than once.")
-    for name in axes:
-        if name not in joints:
-            raise JobError(f"nodes are given for {name!r}, which is not a joint of the grid: {', '.join(joints)}.")
+            raise JobError(f"a residual model cannot follow {name!r}; the joints that are read are {', '.join(names)}.")
+    if not joints or len(set(joints)) < len(joints):
+        raise JobError("the joints of a residual model must be at least one, each named once.")
     return [names.index(name) for name in joints]
+
+
+def measured_errors(readings: Array, errors: Array, width: int, place: str) -> tuple[Array, Array]:
+    """Return readings (N, width) and errors (N, 3), one row or more. Raises MeasurementError for anything else."""
+    readings, errors = np.asarray(readings, dtype=np.float64), np.asarray(errors, dtype=np.float64)
+    if readings.shape != (len(errors), width) or errors.shape != (len(readings), 3) or not len(errors):
+        raise MeasurementError(
+            f"{place}: readings {readings.shape} and errors {errors.shape} must have the shapes (N, {width}) and "
+            "(N, 3)."
+        )
+    if not (np.isfinite(readings).all() and np.isfinite(errors).all()):
+        raise MeasurementError(f"{place}: readings and errors must be finite numbers.")
+    return readings, errors
 
 
 def _reference(readings: Array, robot_readings: Sequence[Reading], joints: Sequence[int], at: Sequence[str]) -> Array:
@@ -409,7 +408,7 @@ def load_residuals(
 
 def head_of(
     arrays: Mapping[str, npt.NDArray[Any]], kinds: Mapping[str, str]
-) -> tuple[Frame, tuple[tuple[str, Literal["angle", "length"]], ...]]:
+) -> tuple[Frame, tuple[tuple[str, Literal["angle", "length"]], ...], tuple[int, ...]]:
     """Return what every file of a residual model begins with: its frame, and names and dimensions of all joints.
 
     ``kinds``: of arrays beside those of the head that are no floating-point numbers, as numpy's letters. Raises
@@ -427,17 +426,17 @@ def head_of(
     if table.ndim != 2 or table.shape[1] != 2 or not np.isin(table[:, 1], list(DISPLAY_OF)).all():
         raise NotReadableError("its joints have no names and dimensions")
     readings = tuple((str(name), cast(Literal["angle", "length"], str(dimension))) for name, dimension in table)
-    return cast(Frame, str(arrays["frame"])), readings
+    joints = arrays["joints"]
+    numbers = tuple(int(j) for j in joints.ravel())
+    if joints.ndim != 1 or not numbers or len(set(numbers)) < len(numbers) or not {*numbers} <= {*range(len(readings))}:
+        raise NotReadableError("its joints are not different ones of the robot's")
+    return cast(Frame, str(arrays["frame"])), readings, numbers
 
 
 def _grid_of(arrays: Mapping[str, npt.NDArray[Any]]) -> SectorGrid:
-    frame, readings = head_of(arrays, {"lengths": "i", "measured": "b"})
-    joints, lengths = arrays["joints"], arrays["lengths"]
-    numbers = [int(j) for j in joints.ravel()]
-    n = len(readings)
-    if joints.ndim != 1 or not numbers or len(set(numbers)) < len(numbers) or not all(0 <= j < n for j in numbers):
-        raise NotReadableError("its joints are not different ones of the robot's")
-    if lengths.shape != joints.shape or (lengths < 2).any() or arrays["axes"].shape != (int(lengths.sum()),):
+    frame, readings, numbers = head_of(arrays, {"lengths": "i", "measured": "b"})
+    lengths, n = arrays["lengths"], len(readings)
+    if lengths.shape != (len(numbers),) or (lengths < 2).any() or arrays["axes"].shape != (int(lengths.sum()),):
         raise NotReadableError("its axes are not at least two nodes for every joint")
     axes = tuple(read_only(axis) for axis in np.split(arrays["axes"], np.cumsum(lengths)[:-1]))
     if not all(np.isfinite(axis).all() and (np.diff(axis) > 0.0).all() for axis in axes):
@@ -449,11 +448,12 @@ def _grid_of(arrays: Mapping[str, npt.NDArray[Any]]) -> SectorGrid:
         raise NotReadableError("an error is not a finite number")
     still = [j for j in range(n) if j not in numbers]
     reference = arrays["reference"]
-    if reference.shape != (n,) or not np.isfinite(reference[still]).all() or not np.isnan(reference[numbers]).all():
+    spanned = list(numbers)
+    if reference.shape != (n,) or not np.isfinite(reference[still]).all() or not np.isnan(reference[spanned]).all():
         raise NotReadableError("its reference is not that of the joints beside the grid")
     return SectorGrid(
         readings,
-        tuple(numbers),
+        numbers,
         axes,
         read_only(reference),
         read_only(arrays["errors"]),

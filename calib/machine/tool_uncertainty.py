@@ -159,15 +159,19 @@ def _errors(view: _View, known: Uncertainty, readings: Array, conditions: Condit
     model = view.machine.residual_model
     if model is None:
         return found
-    # What a residual model adds are errors that were measured elsewhere: what these have in common is gone.
+    # What a residual model adds are errors that were measured elsewhere: what these have in common is gone. Neighbours
+    # lean on the same ones, so that each is looked at once, in the model's own axes.
     lean = model.leaning(readings)
-    axes = _axes(view, model, readings, conditions)
-    for c in range(lean.weights.shape[1]):
-        rows = np.flatnonzero(lean.weights[:, c])
-        at = lean.points[rows, c]
-        there = _of_kinematics(view, known, at, ordinary(at))[:, :3]
-        turned = axes[rows] @ np.swapaxes(_axes(view, model, at, ordinary(at)), 1, 2)
-        found[rows, :3] -= lean.weights[rows, c, None, None] * (turned @ there)
+    used = lean.weights != 0.0
+    if used.any():
+        at, numbers = np.unique(lean.points[used], axis=0, return_inverse=True)
+        number, told = np.zeros(used.shape, dtype=np.intp), ordinary(at)
+        number[used] = numbers.reshape(-1)
+        there = np.swapaxes(_axes(view, model, at, told), 1, 2) @ _of_kinematics(view, known, at, told)[:, :3]
+        common = np.zeros_like(found[:, :3])
+        for c in range(used.shape[1]):
+            common += lean.weights[:, c, None, None] * there[number[:, c]]
+        found[:, :3] -= _axes(view, model, readings, conditions) @ common
     found[:, :3] *= lean.unknown[:, None, None]
     return found
 

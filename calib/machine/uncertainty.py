@@ -94,8 +94,26 @@ class Uncertainty:
         )
 
 
+class _Known:
+    """What is told of the null space at N configurations."""
+
+    __slots__ = ()
+    null_space_rms: Array
+    budget: Mapping[str, Array]
+
+    @property
+    def known(self) -> BoolArray:
+        """Whether (N, 2) position and orientation are known: the null space adds less than what was measured leaves."""
+        measured = sum(sigmas**2 for cause, sigmas in self.budget.items() if cause != "parameters")
+        return np.asarray(self.null_space_rms <= np.sqrt(measured))
+
+    def known_shares(self) -> dict[str, float]:
+        """Return at which share of the poses the position is known, and the orientation."""
+        return {name: float(np.mean(self.known[:, k])) for k, name in enumerate(("position", "orientation"))}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class ToolUncertainty:
+class ToolUncertainty(_Known):
     """How sure the tool's pose is at N configurations.
 
     ``covariance`` (N, 6, 6): of the position, in the axes of the instrument (of the base, where the base is left out),
@@ -120,16 +138,6 @@ class ToolUncertainty:
         """Standard deviations (N,) of the orientation, all three turns together, in rad."""
         return _root_trace(self.covariance[:, 3:, 3:])
 
-    @property
-    def known(self) -> BoolArray:
-        """Whether (N, 2) position and orientation are known: the null space adds less than what was measured leaves."""
-        measured = sum(sigmas**2 for cause, sigmas in self.budget.items() if cause != "parameters")
-        return np.asarray(self.null_space_rms <= np.sqrt(measured))
-
-    def known_shares(self) -> dict[str, float]:
-        """Return at which share of the poses the position is known, and the orientation."""
-        return {name: float(np.mean(self.known[:, k])) for k, name in enumerate(("position", "orientation"))}
-
     def inside(self, errors: Array, probability: float = 0.95) -> BoolArray:
         """Return which position errors (N, 3) are inside the region (an ellipsoid) of the given probability.
 
@@ -146,7 +154,7 @@ class ToolUncertainty:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class UncertaintyMap:
+class UncertaintyMap(_Known):
     """Standard deviations over the workspace, at N random configurations.
 
     ``readings`` (N, nr); ``positions`` (N, 3) of the tool in the base, in m; ``sigmas`` (N, 2) of position and

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -42,14 +43,6 @@ class NoiseEntry(Strict):
     model: Annotated[_Number, Field(ge=0.0)]
     total: Annotated[_Number, Field(ge=0.0)]
     degrees_of_freedom: Annotated[_Number, Field(gt=0.0)] | None
-
-    @classmethod
-    def of(cls, level: NoiseLevel | None) -> "NoiseEntry | None":
-        """Return the entry of a noise level."""
-        if level is None:
-            return None
-        freedom = None if np.isinf(level.degrees_of_freedom) else level.degrees_of_freedom
-        return cls(model=level.model, total=level.total, degrees_of_freedom=freedom)
 
     @property
     def level(self) -> NoiseLevel:
@@ -103,8 +96,10 @@ def uncertainty_json(uncertainty: Uncertainty, robot: Robot) -> str:
 
 
 def _plain(level: NoiseLevel | None) -> dict[str, float | None] | None:
-    entry = NoiseEntry.of(level)
-    return None if entry is None else entry.model_dump()
+    if level is None:
+        return None
+    freedom = None if np.isinf(level.degrees_of_freedom) else level.degrees_of_freedom
+    return {**asdict(level), "degrees_of_freedom": freedom}
 
 
 def _plain_waves(waves: Waves | None, names: Sequence[str]) -> dict[str, object] | None:

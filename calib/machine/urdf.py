@@ -15,6 +15,7 @@ from calib.identification.fit import Fit
 from calib.machine.in_urdf import fit_in_urdf
 from calib.robot import deviation
 from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.links import motions
 from calib.robot.load import load_robot, with_document
 from calib.robot.robot import Deviations, Robot
 from calib.robot.urdf import UrdfJoint, parse_urdf
@@ -43,7 +44,7 @@ def calibrated_origins(robot: Robot, deviations: Deviations) -> Mapping[str, Arr
         else:
             driver, multiple = _driver(robot, joint)
             shift = multiple * followed.get(driver, 0.0)
-        motion = _motion(joint, shift)
+        motion = motions(joint, np.asarray(shift))
         if joint.name in on_chain:
             link, d = on_chain[joint.name]
             if np.any(d):  # without a deviation a skew frame would leave rounding
@@ -108,15 +109,6 @@ def write_urdf(fit: Fit, path: str | Path) -> None:
     if there == robot.urdf.source:
         raise OutputError(f"{path}: holds the nominal URDF, which is never overwritten; choose another name.")
     write_atomically(path, calibrated_urdf(robot, held.deviations))
-
-
-def _motion(joint: UrdfJoint, q: float) -> Array:
-    """Return the motion (4, 4) of a joint at position q; fixed joints do not move."""
-    if q == 0.0:
-        return np.eye(4)
-    if joint.type == "prismatic":
-        return rigid.translation(q * joint.axis)
-    return rigid.placement(rigid.rotation_about(joint.axis, q), np.zeros(3))
 
 
 def _driver(robot: Robot, joint: UrdfJoint) -> tuple[str, float]:

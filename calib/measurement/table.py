@@ -6,7 +6,7 @@ here on; which joints and tools they belong to is decided in :mod:`calib.measure
 
 import itertools
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral
 from pathlib import Path
@@ -105,12 +105,14 @@ class Columns:
     ``names``: ``{"x": "measurement_x"}`` reads the file's column ``measurement_x`` as ``x``, and
     ``{"x [mm]": "measurement_x"}`` also gives it the unit that the file leaves out. ``ignore``: columns, as the file
     has them, that are not read. ``orientation``: what the columns ``rx``, ``ry``, ``rz``, or ``r11`` to ``r33``, are
-    (docs/files_of_others.md); they become a quaternion.
+    (docs/files_of_others.md); they become a quaternion. ``where_present``: columns that a table lacks of
+    these are no error.
     """
 
     names: Mapping[str, str] = field(default_factory=lambda: NO_NAMES)
     ignore: tuple[str, ...] = ()
     orientation: str | None = None
+    where_present: bool = False
 
     def __post_init__(self) -> None:
         refuse_fields(self)
@@ -268,16 +270,24 @@ def _whole(
     chosen: Columns,
 ) -> Table:
     columns = {name: Column(name, unit, column) for (name, unit, _), column in zip(header, values, strict=True)}
-    if chosen.orientation is not None:
+    if chosen.orientation is not None and not (chosen.where_present and _lacking(chosen.orientation, columns)):
         columns = _turned(columns, chosen.orientation, numbers, where)
     return Table(MappingProxyType(columns), read_only_view(numbers), where)
 
 
+def _titles(orientation: str) -> tuple[str, ...]:
+    return MATRIX if orientation == "matrix" else ANGLES
+
+
+def _lacking(orientation: str, columns: Collection[str]) -> list[str]:
+    return [name for name in _titles(orientation) if name not in columns]
+
+
 def _turned(columns: dict[str, Column], orientation: str, lines: IntArray, where: str) -> dict[str, Column]:
     """Return the columns with a quaternion in the place of the angles, or the matrix, that ``orientation`` names."""
-    names = MATRIX if orientation == "matrix" else ANGLES
+    names = _titles(orientation)
     dimension = "number" if orientation == "matrix" else "angle"
-    if missing := [name for name in names if name not in columns]:
+    if missing := _lacking(orientation, columns):
         raise HeaderError(
             f"{where}: orientation is {orientation!r}, and there is no column {', '.join(map(repr, missing))}."
         )
@@ -345,8 +355,11 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
         wrong.insert(
             0, f"{listed} are words of commands, as calib compensate writes them; give the table it was made of"
         )
-    wrong += [f"there is no column {theirs!r} to read as {ours[theirs]!r}{nearest(theirs, titles)}" for theirs in ours]
-    wrong += [f"there is no column {name!r} to ignore{nearest(name, titles)}" for name in left]
+    if not columns.where_present:
+        wrong += [
+            f"there is no column {theirs!r} to read as {ours[theirs]!r}{nearest(theirs, titles)}" for theirs in ours
+        ]
+        wrong += [f"there is no column {name!r} to ignore{nearest(name, titles)}" for name in left]
     if wrong:
         raise HeaderError(f"{at}: {'; '.join(wrong[:_LISTED])}.")
     return header

@@ -46,6 +46,8 @@ _SMALL_RADIUS = 0.1
 # Height of the triangle over its longest side: +-30 deg have 0.13.
 _THIN = 0.1
 _DEGENERATE = 1e-9
+# What an axis that rests may read.
+_AT_REST = 1e-3 * DEG
 # How far a point may lie from where its angle says: a degree, or six standard deviations of the point.
 _TURN_TOLERANCE = 1.0 * DEG
 _SIGMAS = 6.0
@@ -268,7 +270,8 @@ def five_point_of(source: str | Path | Table, *, sigma: float = 0.1e-3) -> FiveP
         found = calib.positioner.five_point_of("five.csv")
 
     Which row is which, its readings say: one at zero, two at turns of the rotary axis alone, a positive and a negative
-    one, two of the tilt axis alone. Raises MeasurementError when there are others, and as :func:`five_point` does.
+    one, two of the tilt axis alone; up to 0.001 deg, an axis is at zero. Raises MeasurementError when there are others,
+    and as :func:`five_point` does.
     """
     table = source if isinstance(source, Table) else read_table(source)
     needed = ("tilt", "rotary", "x", "y", "z")
@@ -279,7 +282,8 @@ def five_point_of(source: str | Path | Table, *, sigma: float = 0.1e-3) -> FiveP
     points = stacked(table, dict.fromkeys(("x", "y", "z"), "length"))
     rows: dict[str, int] = {}
     for n, (tilt, rotary) in enumerate(turns):
-        place = _PLACES.get((float(np.sign(tilt)), float(np.sign(rotary))))
+        tilts, turned = (float(np.sign(angle)) if abs(angle) > _AT_REST else 0.0 for angle in (tilt, rotary))
+        place = _PLACES.get((tilts, turned))
         at = f"{table.where}:{table.lines[n]}: tilt {tilt / DEG:g} deg, rotary {rotary / DEG:g} deg"
         if place is None:
             raise MeasurementError(f"{at}: both axes are turned; at each of the five points one axis at most may be.")

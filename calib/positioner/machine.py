@@ -20,6 +20,7 @@ from calib.robot.conditions import ordinary
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import parse_urdf
+from calib.robot.urdf_writer import origin_text
 
 # ---- as a machine
 
@@ -48,9 +49,7 @@ def revolute_robot(placed: Sequence[tuple[str, Array]], names: Sequence[str]) ->
     for (kind, T), name, parent, child in zip(placed, names, links, links[1:], strict=False):
         origin = rigid.inverse(carrier) @ T
         carrier = T
-        xyz, rpy = (
-            " ".join(repr(float(v)) for v in values) for values in (origin[:3, 3], rigid.rpy_of(origin[:3, :3]))
-        )
+        xyz, rpy = origin_text(origin)
         limits = '<limit lower="-1e3" upper="1e3" effort="0" velocity="0"/>' if kind == "prismatic" else ""
         lines.append(
             f"<joint name={quoted(name)} type={quoted('continuous' if kind == 'revolute' else kind)}>"

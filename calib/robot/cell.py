@@ -13,10 +13,9 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, OutputError
-from calib.foundations.rigid import rpy_of
 from calib.foundations.xml_text import quoted
 from calib.robot.urdf import Urdf, UrdfJoint, parse_urdf, read_document
-from calib.robot.urdf_writer import ATTRIBUTE, START_TAG, codec_of, encoded_like, shortest_decimals
+from calib.robot.urdf_writer import ATTRIBUTE, START_TAG, codec_of, encoded_like, origin_text
 
 # Largest difference of a placement read back, in metres and in entries of the rotation: rounding of rpy, no more.
 _ROUNDING = 1e-12
@@ -66,7 +65,7 @@ def compose(first: Urdf, second: Urdf, parent: str, placement: Array, prefix: st
     mount = f"{links[second.root]}_mount"
     while mount in joints_of_first or mount in joints.values():
         mount = f"{prefix}_{mount}"
-    xyz, rpy = shortest_decimals(placement[:3, 3]), shortest_decimals(rpy_of(placement[:3, :3]))
+    xyz, rpy = origin_text(placement)
     fixed = (
         f'\n  <joint name={quoted(mount)} type="fixed">'
         f"\n    <parent link={quoted(parent)}/>"

@@ -12,6 +12,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import coal
 import numpy as np
@@ -21,6 +22,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
+from calib.foundations.xml_text import Element
 from calib.robot.links import arm_of, link_placements
 from calib.robot.mesh_counts import MOST_CORNERS, counts
 from calib.robot.robot import Robot
@@ -50,14 +52,13 @@ _BLOCK = 200  # poses at a time
 _REQUEST = coal.CollisionRequest()
 
 
-@dataclass(frozen=True, slots=True)
-class _Element:
-    """A ``<collision>``: its link, and the attributes of its origin and of its shape."""
-
-    link: str
-    origin: Mapping[str, str]
-    shape: str
-    attributes: Mapping[str, str]
+# Shapes that a URDF states by numbers: what makes them, and its attributes with how many numbers each has.
+_PLAIN_SHAPES = {
+    "box": (coal.Box, {"size": 3}),
+    "sphere": (coal.Sphere, {"radius": 1}),
+    "cylinder": (coal.Cylinder, {"radius": 1, "length": 1}),
+    "capsule": (coal.Capsule, {"radius": 1, "length": 1}),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,9 +201,9 @@ def self_collision(
             f"{robot.urdf.where}: has {len(elements)} collision shapes; allowed are {MOST_SHAPES}, unless collisions "
             "are not judged (--no-collisions)."
         )
-    for element in elements:
+    for link, origin, shape in elements:
         try:
-            shapes.append(_shape(element, mesh_roots, meshes))
+            shapes.append(_shape(link, origin, shape, mesh_roots, meshes))
         except RobotError as e:
             notes.append(str(e))
     if not shapes:
@@ -215,10 +216,10 @@ def self_collision(
     return SelfCollision(robot, tuple(shapes), bodies, pairs, tuple(notes)).without_lasting(readings)
 
 
-def _elements(urdf: Urdf) -> list[_Element]:
-    """Return the shapes of all ``<collision>`` elements of a URDF."""
+def _elements(urdf: Urdf) -> list[tuple[str, Mapping[str, str], Element]]:
+    """Return the shapes of all ``<collision>`` elements of a URDF, with their links and what their origins state."""
     return [
-        _Element(link.attributes["name"], origin, shape.tag, shape.attributes)
+        (link.attributes["name"], origin, shape)
         for link in read_document(urdf.source, urdf.where, generations=4).all("link")
         for collision in link.all("collision")
         for origin in [{key: value for element in collision.all("origin") for key, value in element.attributes.items()}]
@@ -230,33 +231,27 @@ def _elements(urdf: Urdf) -> list[_Element]:
 _Meshes = dict[tuple[Path, tuple[float, ...]], object]
 
 
-def _shape(element: _Element, roots: Sequence[Path], meshes: _Meshes) -> _Shape:
-    at = f"The collision shape of link {element.link!r}"
-    xyz, rpy = (_numbers(element.origin.get(name, "0 0 0"), 3, at) for name in ("xyz", "rpy"))
+def _shape(link: str, origin: Mapping[str, str], shape: Element, roots: Sequence[Path], meshes: _Meshes) -> _Shape:
+    at = f"The collision shape of link {link!r}"
+    xyz, rpy = (_numbers(origin.get(name, "0 0 0"), 3, at) for name in ("xyz", "rpy"))
     placement = rigid.placement(rigid.rotation_of_rpy(rpy), xyz)
-    a = element.attributes
-    match element.shape:
-        case "box":
-            geometry = coal.Box(*_numbers(a.get("size", ""), 3, at))
-        case "sphere":
-            geometry = coal.Sphere(*_numbers(a.get("radius", ""), 1, at))
-        case "cylinder":
-            geometry = coal.Cylinder(*_numbers(a.get("radius", ""), 1, at), *_numbers(a.get("length", ""), 1, at))
-        case "capsule":
-            geometry = coal.Capsule(*_numbers(a.get("radius", ""), 1, at), *_numbers(a.get("length", ""), 1, at))
-        case "mesh":
-            geometry = _mesh(a, roots, meshes, at)
-        case other:
-            raise RobotError(f"{at} is a {other[:40]!r}, which is not a known shape; its collisions are not judged.")
+    if shape.tag == "mesh":
+        geometry: Any = _mesh(shape.attributes, roots, meshes, at)
+    elif shape.tag in _PLAIN_SHAPES:
+        made, needed = _PLAIN_SHAPES[shape.tag]
+        numbers = [_numbers(shape.attributes.get(name, ""), count, at) for name, count in needed.items()]
+        geometry = made(*np.concatenate(numbers))
+    else:
+        raise RobotError(f"{at} is a {shape.tag[:40]!r}, which is not a known shape; its collisions are not judged.")
     geometry.computeLocalAABB()
     centre = np.asarray(geometry.aabb_center, dtype=np.float64)
     return _Shape(
-        element.link,
+        link,
         placement,
         geometry,
         placement[:3, :3] @ centre + placement[:3, 3],
         float(geometry.aabb_radius),
-        _OF_MESHES if element.shape == "mesh" else 1.0,
+        _OF_MESHES if shape.tag == "mesh" else 1.0,
     )
 
 

@@ -67,6 +67,8 @@ class Conditions:
 
 
 NO_CONDITIONS = Conditions()
+# What rows have of which nobody says anything, beside others of which somebody does; of all else, nobody then does.
+_UNSAID = {"payload": np.nan, "gravity": np.nan, "motion": 0.0}
 
 
 def ordinary(readings: Array) -> Conditions:
@@ -84,29 +86,16 @@ def joined(parts: Sequence[tuple[int, Conditions]]) -> Conditions:
     None where one part has none; but a part that tells no load has that of the robot, and one without motion rests.
     """
 
-    def of_all(found: Sequence[Array | None]) -> Array | None:
+    def of_all(name: str) -> Array | None:
+        found: list[Array | None] = [getattr(told, name) for _, told in parts]
+        like = next((values for values in found if values is not None), None)
+        if like is not None and name in _UNSAID:
+            of_rows = [np.full((rows, *like.shape[1:]), _UNSAID[name]) for rows, _ in parts]
+            found = [unsaid if own is None else own for own, unsaid in zip(found, of_rows, strict=True)]
         known = [values for values in found if values is not None]
         return read_only(np.concatenate(known)) if known and len(known) == len(found) else None
 
-    def filled(found: Sequence[Array | None], unsaid: float) -> Array | None:
-        like = next((values for values in found if values is not None), None)
-        if like is None:
-            return None
-        sizes = [rows for rows, _ in parts]
-        return of_all(
-            [np.full((n, *like.shape[1:]), unsaid) if v is None else v for n, v in zip(sizes, found, strict=True)]
-        )
-
-    return Conditions(
-        of_all([told.approach for _, told in parts]),
-        of_all([told.temperature for _, told in parts]),
-        of_all([told.torque for _, told in parts]),
-        filled([told.payload for _, told in parts], np.nan),
-        filled([told.gravity for _, told in parts], np.nan),
-        of_all([told.lagged for _, told in parts]),
-        of_all([told.torque_sigma for _, told in parts]),
-        filled([told.motion for _, told in parts], 0.0),
-    )
+    return Conditions(*(of_all(field.name) for field in fields(Conditions)))
 
 
 def in_order(readings: Array) -> Array:

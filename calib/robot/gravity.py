@@ -24,7 +24,7 @@ from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism
 from calib.robot.kinematics import Frame, Kinematics, Mass, Regressor, Weighed
 from calib.robot.loops import Closure, passive_joints
-from calib.robot.skeleton import Skeleton, end_frame, skeleton
+from calib.robot.skeleton import Outline, Skeleton
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)
 
@@ -126,7 +126,7 @@ class Holding:
 
     def __init__(self, weights: Weights) -> None:
         m = weights.mechanism
-        s = skeleton(m.segments, np.zeros((len(m.segments), 6)))
+        s = Outline(m.segments).skeleton(np.zeros((len(m.segments), 6)))
         self._weights, self._passive = weights, passive_joints(m.loops)
         self._closure = Closure(s, m.loops) if m.loops else None
         carried = sorted({joint for _, joint, _ in weights.units})
@@ -135,7 +135,7 @@ class Holding:
         self._masses = Weighed(s.tree, _masses(s, weights))
         moved = [k for k, joint in enumerate(weights.hands) if joint >= 0]
         self._hands = np.array(moved, dtype=np.intp)
-        self._at_hands = Kinematics(s.tree, [end_frame(s, int(m.carrying[weights.hands[k]])) for k in moved])
+        self._at_hands = Kinematics(s.tree, [s.end_frame(int(m.carrying[weights.hands[k]])) for k in moved])
         self._links = Kinematics(s.tree, [_frame(s, int(m.carrying[joint])) for _, joint, _ in weights.own])
         self.units = {name: k for k, (name, _, _) in enumerate(weights.units)}
 
@@ -230,12 +230,12 @@ def _by_virtual_work(g: Array, follow: Array) -> Array:
 
 def _frame(s: Skeleton, segment: int) -> Frame:
     """Return the frame that moves with a joint, whose z is its axis."""
-    joint, T = end_frame(s, segment)
+    joint, T = s.end_frame(segment)
     return Frame(joint, T @ s.segments[segment].frame)
 
 
 def _masses(s: Skeleton, weights: Weights) -> list[Mass]:
-    frames = [end_frame(s, int(weights.mechanism.carrying[body.joint])) for body in weights.bodies]
+    frames = [s.end_frame(int(weights.mechanism.carrying[body.joint])) for body in weights.bodies]
     return [
         Mass(joint, body.mass, T[:3, :3] @ body.centre + T[:3, 3], T[:3, :3] @ body.inertia @ T[:3, :3].T)
         for (joint, T), body in zip(frames, weights.bodies, strict=True)

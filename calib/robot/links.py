@@ -60,7 +60,7 @@ def link_placements(urdf: Urdf, arm: Arm) -> dict[str, Array]:
         ready = [k for k in waiting if urdf.joints[k].parent in found]
         for k in ready:
             joint = urdf.joints[k]
-            found[joint.child] = found[joint.parent] @ arm.origins[k] @ _motions(joint, arm.positions[:, k])
+            found[joint.child] = found[joint.parent] @ arm.origins[k] @ motions(joint, arm.positions[:, k])
         waiting = [k for k in waiting if k not in ready]
     return found
 
@@ -81,10 +81,10 @@ def _rest(joint: UrdfJoint) -> float:
     return lowest if joint.upper is None else min(lowest, joint.upper)
 
 
-def _motions(joint: UrdfJoint, q: Array) -> Array:
-    """Return the motions (N, 4, 4) of a joint at positions q (N,)."""
+def motions(joint: UrdfJoint, q: Array) -> Array:
+    """Return the motions (..., 4, 4) of a joint at positions q (...), or (4, 4) of one that does not move."""
     if joint.type == "prismatic":
-        return rigid.translation(q[:, None] * joint.axis)
+        return rigid.translation(q[..., None] * joint.axis)
     if joint.type in ("revolute", "continuous"):
         return rigid.placement(rigid.rotation_about(joint.axis, q), np.zeros(3))
     return np.eye(4)

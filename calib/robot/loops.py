@@ -16,8 +16,8 @@ import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import PoseError
-from calib.robot.kinematics import Tree
-from calib.robot.skeleton import Skeleton, derivative, end_frame
+from calib.robot.kinematics import way
+from calib.robot.skeleton import Skeleton, derivative
 
 _MOST_STEPS = 30
 # Where a quarter of a micrometre is left, the links cannot reach; rounding leaves a thousandth of a nanometre.
@@ -201,29 +201,20 @@ class Closure:
 
 
 def _ring(s: Skeleton, loop: Loop, passive: Sequence[int]) -> _Ring:
-    frames = [end_frame(s, end) for end in loop.ends]
-    ways = [_way(s.tree, frame.joint) for frame in frames]
+    frames = [s.end_frame(end) for end in loop.ends]
+    ways = [way(s.tree.parents, frame.joint) for frame in frames]
     common = sum(a == b for a, b in zip(*ways, strict=False))
     sides: list[_Side] = []
     rows: list[Array] = []
     tails: list[Array] = []
-    for end, frame, way, sign in zip(loop.ends, frames, ways, (-1.0, 1.0), strict=True):
-        joints = tuple(way[common:])
+    for end, frame, own, sign in zip(loop.ends, frames, ways, (-1.0, 1.0), strict=True):
+        joints = own[common:]
         still = next((i for i, j in enumerate(joints) if j in passive), len(joints))
         sides.append(_Side(joints, s.tree.placements[list(joints)], frame.placement, still, sign))
         by_joint, tail = derivative(s, end)
         rows += [by_joint[6 * j : 6 * j + 6] for j in joints]
         tails.append(tail)
     return _Ring(list(loop.closes), (sides[0], sides[1]), np.concatenate(rows + tails))
-
-
-def _way(tree: Tree, joint: int) -> list[int]:
-    """Return the moving joints from the root to one, itself included."""
-    way: list[int] = []
-    while joint >= 0:
-        way.append(joint)
-        joint = tree.parents[joint]
-    return way[::-1]
 
 
 def _at_rest(n: int) -> _Frames:

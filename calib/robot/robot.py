@@ -403,7 +403,7 @@ class TipModel:
         self._tip = int(m.carrying[robot.tip_joint]) if robot.tip_joint >= 0 else -1
         self._mechanism, self._offsets = m, m.offset_coupling @ d.offsets
         self.types, self.passive = nominal.outline.types, nominal.passive
-        frame = nominal.outline.end_frame(self._skeleton, self._tip)
+        frame = self._skeleton.end_frame(self._tip)
         self.end = frame.placement
         self._kinematics = Kinematics(self._skeleton.tree, [frame], nominal.joints)
         self._closure = Closure(self._skeleton, m.loops) if m.loops else None

@@ -47,6 +47,15 @@ class Skeleton(NamedTuple):
         """The joints, parents before children."""
         return self.outline.segments
 
+    def end_frame(self, joint: int) -> Frame:
+        """Return the URDF frame of the link that a joint carries; joint -1 is the base link."""
+        if joint < 0:
+            return Frame(-1, np.eye(4))
+        number, back = self.segments[joint].number, self.outline.back[joint]
+        if number is None:
+            return Frame(self.outline.carriers[joint], self.carried[joint] @ back)
+        return Frame(number, back)
+
 
 class Path(NamedTuple):
     """The way from the base to a frame: moving joints ``way`` (w), by number, and all ``segments`` (m), by index.
@@ -69,7 +78,7 @@ class Outline:
     def __init__(self, segments: Sequence[Segment]) -> None:
         self.segments = tuple(segments)
         self._placements = np.stack([segment.placement for segment in segments])
-        self._back = [rigid.inverse(segment.frame) for segment in segments]
+        self.back = [rigid.inverse(segment.frame) for segment in segments]
         behind = [i for i, segment in enumerate(segments) if segment.parent >= 0]
         self._fixed = [(i, segments[i].parent) for i in behind if segments[segments[i].parent].number is None]
         self.carriers = [self.moving_at(segment.parent) for segment in segments]
@@ -105,23 +114,6 @@ class Outline:
         for i, parent in self._fixed:
             carried[i] = carried[parent] @ placed[i]
         return Skeleton(self, placed, carried, twists, Tree(self.types, self.parents, carried[self._moving]))
-
-    def end_frame(self, s: Skeleton, joint: int) -> Frame:
-        """Return the URDF frame of the link that a joint carries; joint -1 is the base link."""
-        if joint < 0:
-            return Frame(-1, np.eye(4))
-        number, back = self.segments[joint].number, self._back[joint]
-        return Frame(self.carriers[joint], s.carried[joint] @ back) if number is None else Frame(number, back)
-
-
-def skeleton(segments: Sequence[Segment], deviations: Array) -> Skeleton:
-    """Return the skeleton of joints, parents before children, with deviations (n, 6)."""
-    return Outline(segments).skeleton(deviations)
-
-
-def end_frame(s: Skeleton, joint: int) -> Frame:
-    """Return the URDF frame of the link that a joint carries; joint -1 is the base link."""
-    return s.outline.end_frame(s, joint)
 
 
 def follow(s: Skeleton, joint: int) -> Array:

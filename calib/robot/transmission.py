@@ -21,7 +21,7 @@ from calib.robot.terms import KINDS, NAMED, JointTerm, Kind, kind_of
 from calib.robot.terms.kind import Rows, Shares
 
 # Names of terms that may need a condition; of a thousand candidates hardly any does.
-_NEEDING = frozenset(name for name, kind in NAMED.items() if type(kind).lacking is not Kind.lacking)
+_NEEDING = frozenset(name for name, kind in NAMED.items() if kind.needs)
 
 
 class Flexures(NamedTuple):

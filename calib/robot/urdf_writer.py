@@ -108,6 +108,11 @@ def shortest_decimals(values: Array) -> str:
     return " ".join(repr(float(value) + 0.0) for value in values)
 
 
+def origin_text(T: Array) -> tuple[str, str]:
+    """Return what an ``<origin>`` has as xyz and as rpy for a placement (4, 4)."""
+    return shortest_decimals(T[:3, 3]), shortest_decimals(rpy_of(T[:3, :3]))
+
+
 def codec_of(source: bytes) -> str:
     """Return a codec that finds tags in the bytes: UTF-16 by its mark or its zeros, as expat does, else Latin-1.
 

@@ -22,7 +22,7 @@ from calib.identification.parameters import directions
 from calib.identification.system import Problem
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import segments
-from calib.robot.skeleton import derivative, end_frame, skeleton
+from calib.robot.skeleton import Outline, derivative
 
 Array = NDArray[np.float64]
 Answer = tuple[Array, Array]  # residuals (N, d) and Jacobians (N, d, p)
@@ -61,9 +61,9 @@ def plain(problem: Problem, data: Measurements, at: Machine, units: Array) -> Pl
     robot, frames = problem.model.robot, at.frames
     if set(robot.moving_types) != {"revolute"} or robot.loops or robot.terms or len(frames.tools) > 1:
         raise ValueError("the yardsticks know chains of turning joints, one base and one tool")
-    layout, own = Layout.of(robot, frames), skeleton(segments(robot), at.deviations.placements)
+    layout, own = Layout.of(robot, frames), Outline(segments(robot)).skeleton(at.deviations.placements)
     S, (joints, tail) = directions(problem.parameters, layout.size) * units, derivative(own, robot.tip_joint)
-    end, tool, moving = end_frame(own, robot.tip_joint), frames.tools[0], len(robot.moving)
+    end, tool, moving = own.end_frame(robot.tip_joint), frames.tools[0], len(robot.moving)
     follow, placed = np.zeros((6 * moving + 6, len(units))), layout.offsets
     follow[:-6] = joints @ S[:placed]
     follow[5:-6:6] += robot.offset_coupling @ S[placed : layout.terms]

@@ -315,6 +315,30 @@ def test_tables_of_other_programs_are_verified(case: Path, tmp_path: Path) -> No
     )
 
 
+def test_tables_are_verified_as_the_calibration_read_its_own(case: Path, tmp_path: Path) -> None:
+    """Columns by other names and columns to be passed over need not be said twice; ours are read as well."""
+    out, table, theirs = tmp_path / "out", case / "validation.csv", tmp_path / "theirs.csv"
+    shutil.copytree(case / "out", out)
+    head, *rows = [line for line in table.read_text().splitlines() if not line.startswith("#")]
+    theirs.write_text("\n".join([head.replace("x [mm]", "X2") + ",who", *(f"{row},me" for row in rows)]))
+    wanted = run("verify", out, table, "--json")
+    assert "'X2', 'who' have no unit" in run("verify", out, theirs).err
+
+    job = json.loads((out / "job.json").read_text())
+    for one in job["measurements"]:
+        one.update(columns={"x [mm]": "X2"}, ignore=["who", "when"], orientation="rpy")
+    (out / "job.json").write_text(json.dumps(job))
+    assert run("verify", out, theirs, "--json") == run("verify", out, table, "--json") == wanted
+
+    job["measurements"][0]["ignore"] = []
+    (out / "job.json").write_text(json.dumps(job))
+    assert "have no unit" in run("verify", out, theirs).err  # Tables were read in two ways.
+    (out / "job.json").write_text('{"measurements": [{"observes": "position"}]}')
+    assert run("verify", out, table) == (1, "", f"Error: {out / 'job.json'}: is not a job of this tool.\n")
+    (out / "job.json").unlink()
+    assert run("verify", out, table, "--json") == wanted
+
+
 def shifted(folder: Path, by: float) -> Path:
     path = folder / f"shifted_{by}.csv"
     lines = (folder / "validation.csv").read_text(encoding="utf-8").splitlines()

@@ -224,13 +224,13 @@ def test_a_fit_that_does_not_converge_is_taken_back(monkeypatch: pytest.MonkeyPa
     whole = choose_terms(model, data)
     assert whole.taken >= 4
     assert whole.taken_back == 0
-    identify, most = choice_module.identify, 2 * (whole.taken // 2)
+    identify, most = choice_module.identify_near, 2 * (whole.taken // 2)
 
-    def stubborn(model: calib.ErrorModel, *given: object, **options: object) -> calib.Fit:
-        fit = identify(model, *given, **options)  # type: ignore[arg-type]
+    def stubborn(near: calib.Fit, model: calib.ErrorModel, *given: object, **options: object) -> calib.Fit:
+        fit = identify(near, model, *given, **options)  # type: ignore[arg-type]
         return replace(fit, converged=len(model.terms) <= most)
 
-    monkeypatch.setattr(choice_module, "identify", stubborn)
+    monkeypatch.setattr(choice_module, "identify_near", stubborn)
     less = choose_terms(model, data)
     assert (less.taken, less.taken_back) == (whole.taken // 2, whole.taken - whole.taken // 2)
     assert less.fit.model.terms == less.model.terms

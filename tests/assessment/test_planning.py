@@ -162,6 +162,25 @@ def test_plan_of_a_job_completes_what_was_measured(tmp_path: Path, monkeypatch: 
     assert sorted(Path("c.csv").read_text().splitlines()) == sorted(Path("b.csv").read_text().splitlines())
 
 
+def test_poses_are_read_as_the_job_reads_its_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Columns that a job passes over, or calls otherwise, need no mention; a table that lacks them is read as well."""
+    job = copy_case(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    common = ("plan", "calibration.toml", "-n", "10", "--candidates", "100", "--json", "-o")
+    alike = json.loads(run(*common, "a.csv", "--measured", "identification.csv").out)
+    for table in ("identification.csv", "validation.csv"):
+        head, *rows = [line for line in Path(table).read_text().splitlines() if not line.startswith("#")]
+        text = "\n".join([head.replace("x [mm]", "X2") + ",who", *(f"{row},me" for row in rows)])
+        Path(table).write_text(text)
+    said = run(*common, "b.csv", "--measured", "identification.csv")
+    assert (said.code, said.out) == (1, "")
+    add = 'columns = { "x [mm]" = "X2" }\nignore = ["who"]\n'
+    job.write_text(job.read_text().replace("[[measurements]]\n", f"[[measurements]]\n{add}"))
+    again = json.loads(run(*common, "b.csv", "--measured", "identification.csv").out)
+    assert again == alike
+    assert run(*common, "c.csv", "--measured", "b.csv").code == 0
+
+
 @pytest.mark.parametrize(
     ("options", "why"),
     [

@@ -195,10 +195,10 @@ def test_options_that_cannot_be_used() -> None:
     def same(rows: Array, errors: Array) -> None:
         return None
 
-    assert changed(same, frame="world") == "the frame of a grid is 'world'; allowed are base, tip."
-    assert "cannot span 'j2'" in changed(same, joints=("j2",))
-    assert "'j1' is named more than once" in changed(same, joints=("j1", "j1"))
-    assert "at least one joint" in changed(same, joints=())
+    assert changed(same, frame="world") == "the frame of a residual model is 'world'; allowed are base, tip."
+    assert "cannot follow 'j2'" in changed(same, joints=("j2",))
+    assert "each named once" in changed(same, joints=("j1", "j1"))
+    assert "must be at least one" in changed(same, joints=())
     assert "nodes are given for 'j3'" in changed(same, axes={"j3": [0.0, 1.0]})
     assert "two ascending numbers" in changed(same, axes={"j1": [1.0, 0.0]})
     with pytest.raises(JobError):

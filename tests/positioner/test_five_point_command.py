@@ -35,6 +35,14 @@ def test_rows_say_by_their_readings_which_they_are(tmp_path: Path, order: tuple[
     assert "Axes in the robot's base" in shown.out
 
 
+def test_an_axis_that_rests_need_not_read_zero(tmp_path: Path) -> None:
+    path = table(tmp_path)
+    exact = calib.positioner.five_point_of(path)
+    resting = path.read_text(encoding="utf-8").replace("\n0,0,", "\n1e-90,-0.0002,").replace("\n60,0,", "\n60,1e-90,")
+    path.write_text(resting, encoding="utf-8")
+    np.testing.assert_array_equal(calib.positioner.five_point_of(path).B_R, exact.B_R)
+
+
 @pytest.mark.parametrize(
     ("order", "more", "said"),
     [

@@ -10,7 +10,7 @@ from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse
 from calib.robot.load import load_robot
 from calib.robot.robot import Deviations, Robot, segments
-from calib.robot.skeleton import end_frame, skeleton
+from calib.robot.skeleton import Outline
 from calib.robot.sources import examples
 from calib.robot.urdf import parse_urdf, read_urdf
 from tests.support import machines
@@ -109,7 +109,7 @@ def test_the_reach_bounds_how_far_the_tip_comes() -> None:
 
 def test_the_frame_of_the_base_link_is_the_root() -> None:
     arm = load(machines.INLINE["scara"])
-    frame = end_frame(skeleton(segments(arm), np.full((len(arm.chain), 6), 0.1)), -1)
+    frame = Outline(segments(arm)).skeleton(np.full((len(arm.chain), 6), 0.1)).end_frame(-1)
     assert frame.joint == -1
     np.testing.assert_array_equal(frame.placement, np.eye(4))
 

@@ -118,11 +118,10 @@ def tool_and_base(fit: Fit) -> Check:
     if "base" in free:
         far = float(np.linalg.norm(fit.machine.frames.bases[:, :3, 3], axis=1).max())
         found.append((far / FAR_BASE, f"The base is {far:.2g} m from the instrument"))
-    share, said = max(found, default=(NOTHING, "Base and tool were given"))
-    passed = not share > 1.0
-    return Check.of(
-        "tool and base", share, 1.0, passed, f"{said}." if passed else f"{said}, farther than is plausible."
-    )
+    if not found:
+        return Check.idle("tool and base", 1.0, "Base and tool were given.")
+    share, said = max(found)
+    return Check.judged("tool and base", share, 1.0, said, ", farther than is plausible.")
 
 
 def lens(fit: Fit) -> Check:
@@ -132,10 +131,10 @@ def lens(fit: Fit) -> Check:
     and left the arm worse.
     """
     if not any(parameter.kind == "placement" for parameter in fit.parameters):
-        return Check.of("lens", NOTHING, 0.0, True, "No placement is sought.")
+        return Check.idle("lens", 0.0, "No placement is sought.")
     given = [data.camera.name for data in fit.measurements if data.camera is not None and not data.camera.free]
     if not given:
-        return Check.of("lens", NOTHING, 0.0, True, "No lens is taken as given.")
+        return Check.idle("lens", 0.0, "No lens is taken as given.")
     said = (
         f"The lens of {given[0]!r} is taken as given and placements are free: an error of the lens is then taken for "
         'one of the arm, and no uncertainty counts it. Write lens = "free", and the size of the images; or, where the '

@@ -44,9 +44,8 @@ def explained(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
     """Whether the machine explains what was measured at all."""
     worst, what = _left(fit, judged, [one.after for one in judged])
     said = f"After calibration the errors are {worst:.2g} times the spread of what was measured"
-    passed = worst <= LEFT
-    cause = ": the readings do not belong to the measurements, or not to this robot."
-    return Check.of("explained", worst, LEFT, passed, f"{said}." if passed else f"{said} ({what}){cause}")
+    cause = f" ({what}): the readings do not belong to the measurements, or not to this robot."
+    return Check.judged("explained", worst, LEFT, said, cause)
 
 
 def _left(fit: Fit, judged: Sequence[JudgedSet], residuals: Sequence[Array]) -> tuple[float, str]:
@@ -90,7 +89,7 @@ def _tips(fit: Fit, readings: Array, tool: IntArray, data: Measurements, end: in
 def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
     """Whether errors are smaller than before, by more than chance makes them over different poses."""
     if not any(parameter.of_robot for parameter in fit.parameters):
-        return Check.of("improvement", NOTHING, NOTHING, True, "No parameter of the robot was free.", least=True)
+        return Check.idle("improvement", NOTHING, "No parameter of the robot was free.", least=True)
     best, limit, worse, deviates = -np.inf, NOTHING, "", False
     for name in sorted({quantity.name for one in judged for quantity in QUANTITIES[one.data.kind]}, reverse=True):
         found = gain(judged, name)
@@ -103,9 +102,7 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
         if found.t < WORSE or (name in ("position", "pixels") and found.after >= found.before):
             worse = name
     if not np.isfinite(best):
-        return Check.of(
-            "improvement", NOTHING, NOTHING, True, "There are too few rows to judge an improvement.", least=True
-        )
+        return Check.idle("improvement", NOTHING, "There are too few rows to judge an improvement.", least=True)
     held_out = any(one.use == "validation" for one in judged)
     data = "held-out data" if held_out else "the fitted data"
     # Of what nothing explains, or of rows that belong together no more, nothing is known of the arm either.
@@ -178,30 +175,21 @@ def independent_rows(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) ->
     """Whether enough poses were held out, where any were."""
     if not held_out:
         said = "No rows were held out: nothing shows how well the machine predicts other poses."
-        return Check.of("held-out poses", NOTHING, POSES, True, said, least=True)
+        return Check.idle("held-out poses", POSES, said, least=True)
     cells = [np.round(_readings(one.data)[~_copied(own, one)] / ONE_POSE) for one in held_out]
     n = len(np.unique(np.concatenate(cells), axis=0))
     said = f"{n} held-out {'pose is' if n == 1 else 'poses are'} different from those of the fit"
-    return Check.of(
-        "held-out poses",
-        n,
-        POSES,
-        n >= POSES,
-        f"{said}{'.' if n >= POSES else f', and {POSES} are needed.'}",
-        least=True,
-    )
+    return Check.judged("held-out poses", n, POSES, said, f", and {POSES} are needed.", least=True)
 
 
 def copies(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> Check:
     """Whether rows held out are the rows of the fit once more, also shuffled or rounded."""
     total = sum(len(one.data) for one in held_out)
     if not total:
-        return Check.of("copies", NOTHING, COPIES, True, "No rows were held out.")
+        return Check.idle("copies", COPIES, "No rows were held out.")
     share = sum(int(_copied(own, one).sum()) for one in held_out) / total
     said = f"{100.0 * share:.0f} % of the held-out rows are at poses of the fit"
-    passed = share <= COPIES
-    more = "." if passed else ": they prove nothing about other poses."
-    return Check.of("copies", share, COPIES, passed, said + more)
+    return Check.judged("copies", share, COPIES, said, ": they prove nothing about other poses.")
 
 
 def _copied(own: Sequence[JudgedSet], one: JudgedSet) -> BoolArray:

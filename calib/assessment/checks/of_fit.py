@@ -32,15 +32,7 @@ def redundancy(fit: Fit) -> Check:
     free = sum(noise.degrees_of_freedom for noise in fit.noise)
     numbers = sum(r.size for r in fit.residuals)
     said = f"{numbers} numbers were measured, and {free:.0f} degrees of freedom are left to judge the fit"
-    passed = free >= FREEDOM
-    return Check.of(
-        "redundancy",
-        free,
-        FREEDOM,
-        passed,
-        f"{said}." if passed else f"{said}; at least {FREEDOM:g} are needed.",
-        least=True,
-    )
+    return Check.judged("redundancy", free, FREEDOM, said, f"; at least {FREEDOM:g} are needed.", least=True)
 
 
 def stated_sigma(fit: Fit) -> Check:

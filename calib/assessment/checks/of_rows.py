@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calib.assessment.checks.of_fit import OF_REACH, ROUNDING
-from calib.assessment.effects import NO_EFFECT, Effect, Rounding, Step, Strain, Timing
+from calib.assessment.effects import Effect, Rounding, Step, Strain, Timing
 from calib.assessment.gain import ONE_POSE
 from calib.assessment.judged import NOTHING, Check, JudgedSet
 from calib.assessment.metrics import error_norms
@@ -58,15 +58,9 @@ def jump(found: Sequence[Step], outliers: Outliers) -> Check:
             size = moved
             said = f"{target.file}:{target.line}: after this row {target.target!r} seems to have moved, by {moved:.2g}"
             said += " times the scatter of the residuals"
-    passed = size <= SIZE
-    if passed:
-        return Check.of(
-            "jump",
-            size or NOTHING,
-            SIZE,
-            True,
-            f"Between no two rows is there a jump above {SIZE:g} times the scatter of the residuals.",
-        )
+    if size <= SIZE:
+        said = f"Between no two rows is there a jump above {SIZE:g} times the scatter of the residuals."
+        return Check.of("jump", size or NOTHING, SIZE, True, said)
     return Check.of("jump", size, SIZE, False, f"{said}: identify the rows before it and after it separately.")
 
 
@@ -79,12 +73,9 @@ def drift(wandered: tuple[float, float], fit: Fit) -> Check:
     size, chance = wandered
     limit = WANDERED * fit.model.robot.reach
     if chance >= RARELY:
-        return Check.of("drift", NOTHING, limit, True, "No drift of the base over the rows is seen.")
-    passed = size <= limit
+        return Check.idle("drift", limit, "No drift of the base over the rows is seen.")
     said = f"Over the rows the base drifts by {size / MM:.2g} mm"
-    return Check.of(
-        "drift", size, limit, passed, f"{said}." if passed else f"{said}: the instrument or the robot moved."
-    )
+    return Check.judged("drift", size, limit, said, ": the instrument or the robot moved.")
 
 
 def late(found: Effect, step: float = NOTHING) -> Check:
@@ -96,14 +87,13 @@ def late(found: Effect, step: float = NOTHING) -> Check:
     in_time = step > 0.0
     limit = LATE * step if in_time else LATE
     if not (abs(found.t) > SURE and found.size > (SEEN_IN_TIME if in_time else SEEN)):
-        return Check.of("delay", NOTHING, limit, True, "No delay between measurements and readings is seen.")
+        return Check.idle("delay", limit, "No delay between measurements and readings is seen.")
     value = abs(found.value)
-    passed = value <= limit
     factor, unit = (1.0 / MS, "ms") if in_time else (1.0, "rows")
     how = "later" if found.value > 0.0 else "earlier"
     said = f"Measurements are {value * factor:.2g} +- {found.sigma * factor:.2g} {unit} {how} than their readings"
     cure = 'let a clock be found, clock = "free", or align the times of both' if in_time else "align the times of both"
-    return Check.of("delay", value, limit, passed, f"{said}." if passed else f"{said}: {cure}.")
+    return Check.judged("delay", value, limit, said, f": {cure}.")
 
 
 def timing(found: Timing) -> Check:
@@ -117,12 +107,10 @@ def timing(found: Timing) -> Check:
     told.append((width, found.smoothed, f"readings seem to be means over times, {width / MS:.2g} ms wide (rms)"))
     # Where one joint is late, others seem so with it: the one that explains most is named.
     sure = [one for one in told if abs(one[1].t) > SURE and one[1].size > SEEN_IN_TIME]
-    value, _, what = max(sure, key=lambda one: one[1].size, default=(NOTHING, NO_EFFECT, ""))
     if not sure:
-        return Check.of("timing", NOTHING, limit, True, "Readings seem to be of one time.")
-    passed = value <= limit
-    more = "." if passed else ": read all joints at once, and unfiltered."
-    return Check.of("timing", value, limit, passed, f"In time, {what}{more}")
+        return Check.idle("timing", limit, "Readings seem to be of one time.")
+    value, _, what = max(sure, key=lambda one: one[1].size)
+    return Check.judged("timing", value, limit, f"In time, {what}", ": read all joints at once, and unfiltered.")
 
 
 def gear(found: Mapping[str, Effect], fit: Fit) -> Check:
@@ -147,11 +135,10 @@ def axes(found: Sequence[Strain]) -> Check:
     told = [one for one in found if one.chance < RARELY and one.size > SEEN]
     worst = max(told, key=lambda one: one.share, default=None)
     if worst is None:
-        return Check.of("axes", NOTHING, STRAIN, True, "The instrument's axes seem to be equally long.")
-    passed = worst.share <= STRAIN
+        return Check.idle("axes", STRAIN, "The instrument's axes seem to be equally long.")
     said = f"{worst.file}: one axis of the instrument seems {100.0 * worst.share:.2g} % longer than another"
-    more = "." if passed else ", or not at right angles: is its scale right, are coordinates all of one kind?"
-    return Check.of("axes", worst.share, STRAIN, passed, said + more)
+    more = ", or not at right angles: is its scale right, are coordinates all of one kind?"
+    return Check.judged("axes", worst.share, STRAIN, said, more)
 
 
 def resolution(found: Sequence[Rounding], fit: Fit) -> Check:
@@ -161,11 +148,10 @@ def resolution(found: Sequence[Rounding], fit: Fit) -> Check:
     told = [one for one in found if ROUNDED <= one.share <= 1.0 / ROUNDED]
     worst = max(told, key=lambda one: one.distance, default=None)
     if worst is None:
-        return Check.of("resolution", NOTHING, limit, True, "Readings do not seem to be rounded.")
-    passed = worst.distance <= limit
+        return Check.idle("resolution", limit, "Readings do not seem to be rounded.")
     said = f"{worst.file}: rounded readings put the tool {worst.distance / MM:.2g} mm off (rms)"
-    more = "." if passed else ", as much as remains: write more of their digits."
-    return Check.of("resolution", worst.distance, limit, passed, said + more)
+    more = ", as much as remains: write more of their digits."
+    return Check.judged("resolution", worst.distance, limit, said, more)
 
 
 def groups(found: Outliers, sets: Sequence[Step], fit: Fit) -> Check:
@@ -193,7 +179,7 @@ def set_ups(found: Sequence[OwnBase]) -> Check:
     wide = [one for one in found if one.wide]
     worst = max(wide, key=lambda one: one.error / one.moved, default=None)
     if worst is None:
-        return Check.of("set-ups", NOTHING, OWN_BASE, True, "No table fits much better with a base of its own.")
+        return Check.idle("set-ups", OWN_BASE, "No table fits much better with a base of its own.")
     times = worst.error / worst.moved
     return Check.of("set-ups", times, OWN_BASE, False, worst.sentence)
 
@@ -203,17 +189,14 @@ def one_machine(found: Sequence[MixedMachines], fit: Fit) -> Check:
     limit = OF_REACH * fit.model.robot.reach
     told = [one for one in found if one.share >= MANY and one.apart >= limit]
     if not told:
-        said = "The rows do not seem to come from several machines."
-        return Check.of("one machine", NOTHING, 2.0 * MACHINES, True, said)
+        return Check.idle("one machine", 2.0 * MACHINES, "The rows do not seem to come from several machines.")
     worst = max(told, key=lambda one: one.times / one.machines)
-    allowed = MACHINES * worst.machines
-    passed = worst.times <= allowed
     said = f"Split between {worst.machines} machines, the rows scatter {worst.times:.2g} times less"
     what = (
         f": they differ by {worst.apart / MM:.2g} mm. Did something change between rows: a payload, backlash, the "
         "robot or the target?"
     )
-    return Check.of("one machine", worst.times, allowed, passed, f"{said}{'.' if passed else what}")
+    return Check.judged("one machine", worst.times, MACHINES * worst.machines, said, what)
 
 
 def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
@@ -249,26 +232,16 @@ def frozen(own: Sequence[JudgedSet]) -> Check:
         if int(stuck.sum()) > 2 and float(np.mean(stuck)) > share:
             share, where = float(np.mean(stuck)), one.file
     said = f"In {100.0 * share:.2g} % of the rows joints moved, but the measured position is that of the row before"
-    passed = share <= FROZEN
-    return Check.of(
-        "frozen", share, FROZEN, passed, f"{said}." if passed else f"{where}: {said}: the instrument had stopped."
-    )
+    more = ": the instrument had stopped."
+    return Check.judged("frozen", share, FROZEN, said if share <= FROZEN else f"{where}: {said}", more)
 
 
 def in_line(own: Sequence[JudgedSet]) -> Check:
     """Whether points that were measured lie on one line, about which the whole robot may turn."""
     if not own or any(one.data.kind != "position" for one in own):
-        return Check.of("places", NOTHING, LINE, True, "Not only positions were measured.", least=True)
+        return Check.idle("places", LINE, "Not only positions were measured.", least=True)
     x = np.concatenate([one.data.position for one in own if one.data.position is not None])
     s = np.linalg.svd(x - x.mean(axis=0), compute_uv=False) if len(x) > 2 else np.zeros(2)
     share = float(s[1] / s[0]) if s[0] > 0.0 else 0.0
-    passed = share >= LINE
     said = f"The cloud of measured points is {share:.2g} times as wide as it is long"
-    return Check.of(
-        "places",
-        share,
-        LINE,
-        passed,
-        f"{said}." if passed else f"{said}: points on one line do not determine the base.",
-        least=True,
-    )
+    return Check.judged("places", share, LINE, said, ": points on one line do not determine the base.", least=True)

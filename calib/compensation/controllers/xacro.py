@@ -16,7 +16,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.urdf import calibrated_urdf
 from calib.robot.load import with_document
 from calib.robot.urdf import parse_urdf
-from calib.robot.urdf_writer import splice_origins
+from calib.robot.urdf_writer import origin_text, splice_origins
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _COMMENTS = """\
@@ -41,8 +41,8 @@ def export_xacro(model: CalibratedMachine) -> Export:
             raise OutputError(
                 f"joint {shown(chained.name)}: a key of this file is of letters, digits, underscores, dots and hyphens."
             )
-        origin = document.joint(chained.name).origin
-        origins[chained.name] = {"xyz": _three(origin[:3, 3]), "rpy": _three(rigid.rpy_of(origin[:3, :3]))}
+        origin = origin_text(document.joint(chained.name).origin)
+        origins[chained.name] = dict(zip(("xyz", "rpy"), origin, strict=True))
     text = _COMMENTS + yaml_text({"origins": origins})
 
     def read_back(readings: Array) -> Array:
@@ -53,10 +53,6 @@ def export_xacro(model: CalibratedMachine) -> Export:
     expected = plain_tips(model, judged_readings(model))
     holds: set[Part] = {"placements"} if robot is not model.robot else {"placements", "closed loops and couplings"}
     return judged_export(model, text, read_back, expected, frozenset(holds))
-
-
-def _three(numbers: Array) -> str:
-    return " ".join(repr(float(number) + 0.0) for number in numbers)
 
 
 def _placement(numbers: Mapping[str, str]) -> Array:

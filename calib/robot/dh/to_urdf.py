@@ -5,12 +5,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.xml_text import quoted
 from calib.robot.dh.table import DhTable
 from calib.robot.urdf import parse_urdf
+from calib.robot.urdf_writer import origin_text, shortest_decimals
 
 # Where nobody gives limits: a turn each way, or a metre.
 _LIMITS = {"revolute": (-2.0 * float(np.pi), 2.0 * float(np.pi)), "prismatic": (-1.0, 1.0)}
@@ -36,10 +36,11 @@ def dh_to_urdf(table: DhTable, name: str = "arm", limits: Mapping[str, tuple[flo
     lines = ['<?xml version="1.0"?>', f"<robot name={quoted(name)}>", f'  <link name="{links[0]}"/>']
     steps = [origin for _, _, origin in joints[1:]] + [np.eye(4)]
     for (joint, kind, origin), parent, child, ahead in zip(joints, links, links[1:], steps, strict=False):
+        xyz, rpy = origin_text(origin)
         lines += [
             f'  <joint name={quoted(joint)} type="{kind}">',
             f'    <parent link="{parent}"/><child link="{child}"/>',
-            f'    <origin xyz="{_text(origin[:3, 3])}" rpy="{_text(rigid.rpy_of(origin[:3, :3]))}"/>',
+            f'    <origin xyz="{xyz}" rpy="{rpy}"/>',
         ]
         if kind != "fixed":
             lower, upper = limits.get(joint, _LIMITS[kind])
@@ -76,13 +77,8 @@ def _visuals(ahead: Array, radius: float) -> list[str]:
         (a, (x / 2, y / 2, d), (0.0, float(np.pi) / 2, yaw)),
     )
     return [
-        f'    <visual><origin xyz="{_text(np.array(xyz))}" rpy="{_text(np.array(rpy))}"/>'
+        f'    <visual><origin xyz="{shortest_decimals(np.array(xyz))}" rpy="{shortest_decimals(np.array(rpy))}"/>'
         f'<geometry><cylinder radius="{radius:.4g}" length="{length:.6g}"/></geometry></visual>'
         for length, xyz, rpy in cylinders
         if length > _SHORTEST * radius / _RADIUS
     ]
-
-
-def _text(values: Array) -> str:
-    """Return the shortest decimals that read back as ``values``, without the minus of a negative zero."""
-    return " ".join(repr(float(value) + 0.0) for value in values)

@@ -5,10 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.robot.conditions import Conditions
 from calib.robot.flexures import Flexure, beam, bending
 from calib.robot.skeleton import Segment
-from calib.robot.terms.kind import Basis, Coefficient, Parts, Rows, Shares
+from calib.robot.terms.kind import Basis, Coefficient, Rows, Shares
 from calib.robot.terms.link import LinkKind
 from calib.robot.terms.term import JointTerm
 
@@ -36,7 +35,3 @@ class Bending(LinkKind):
     def motions(self, segments: Sequence[Segment], joint: int, term: JointTerm) -> tuple[Flexure, ...]:
         """Return the motions across the link, and about the directions across it."""
         return bending(segments, joint)
-
-    def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
-        """Return whether masses are stated."""
-        return parts.weighed()

@@ -1,7 +1,6 @@
 """Wind-up: the drive gives way to what it holds against gravity, at nominal geometry. Basis: -tau."""
 
-from calib.robot.conditions import Conditions
-from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Parts, Shares
+from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Shares
 from calib.robot.terms.term import JointTerm
 
 
@@ -22,7 +21,3 @@ class Elastic(Kind):
     def group(self, term: JointTerm, dimension: Dimension) -> str:
         """Return the name of all compliances of one unit."""
         return "compliances" if dimension == "angle" else "compliances of joints that slide"
-
-    def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
-        """Return whether masses are stated."""
-        return parts.weighed()

@@ -2,10 +2,9 @@
 
 from collections.abc import Sequence
 
-from calib.robot.conditions import Conditions
 from calib.robot.flexures import Flexure, expanding
 from calib.robot.skeleton import Segment
-from calib.robot.terms.kind import Basis, Coefficient, Parts, Shares, changes
+from calib.robot.terms.kind import TEMPERATURE, Basis, Coefficient, Shares
 from calib.robot.terms.link import LinkKind
 from calib.robot.terms.term import WHOLE_ARM, JointTerm
 from calib.robot.terms.thermal import warmth
@@ -19,6 +18,7 @@ class Expansion(LinkKind):
     words = (WHOLE_ARM,)
     coefficients = {"length": Coefficient("1/K", 1e-5)}
     shown = {"1/K": "ppm/K"}
+    needs = (TEMPERATURE,)
 
     def basis(self, shares: Shares) -> Basis:
         """Return what every link grows by."""
@@ -27,11 +27,3 @@ class Expansion(LinkKind):
     def motions(self, segments: Sequence[Segment], joint: int, term: JointTerm) -> tuple[Flexure, ...]:
         """Return the motion along the link."""
         return expanding(segments, joint)
-
-    def lacking(self, term: JointTerm, reading: int, conditions: Conditions) -> str | None:
-        """Return the column of the temperature, where it is not told."""
-        return "temperature" if conditions.temperature is None else None
-
-    def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
-        """Return whether the temperature changes."""
-        return changes(told.temperature)

@@ -9,9 +9,7 @@ from typing import cast
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.robot.conditions import Conditions
-from calib.robot.terms.kind import Basis, Coefficient, Kind, Parts, Shares, unsaid
-from calib.robot.terms.term import JointTerm
+from calib.robot.terms.kind import SIDE, Basis, Coefficient, Kind, Shares
 
 
 class Hysteresis(Kind):
@@ -22,18 +20,10 @@ class Hysteresis(Kind):
     coefficients = {"angle": Coefficient("rad/Nm", 1e-6), "length": Coefficient("m/N", 1e-8)}
     shown = {"rad/Nm": "urad/Nm", "m/N": "um/N"}
     masses = "stated"
+    needs = (SIDE,)
 
     def basis(self, shares: Shares) -> Basis:
         """Return the size of what the readings hold, against their sides."""
         return lambda rows: (
             -cast(Array, rows.conditions.approach)[:, shares.reading] * np.abs(rows.held[:, shares.coordinate])
         )
-
-    def lacking(self, term: JointTerm, reading: int, conditions: Conditions) -> str | None:
-        """Return the column of the reading's side, where it is not told."""
-        return f"direction_{term.reading}" if unsaid(conditions.approach, reading) else None
-
-    def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
-        """Return whether masses are stated, and the reading was reached from both sides."""
-        sides = told.approach
-        return sides is not None and {-1.0, 1.0} <= set(sides[:, reading].tolist()) and parts.weighed()

@@ -93,14 +93,53 @@ class Parts:
     lateral_moments: Callable[[], tuple[JointTerm, ...]]
 
 
+class Needed(NamedTuple):
+    """What terms of a kind follow beside the readings, in a ``column``, named after the reading where it has ``{}``.
+
+    Asked of conditions and the number of a reading: ``lacks``, whether some rows do not tell it; ``shows``, whether its
+    values differ so that they could show a term.
+    """
+
+    column: str
+    lacks: Callable[[Conditions, int], bool]
+    shows: Callable[[Conditions, int], bool]
+
+
+def _unsaid(values: Array | None, reading: int) -> bool:
+    """Return whether conditions (N, nr) of readings lack those of one."""
+    return values is None or bool(np.isnan(values[:, reading]).any())
+
+
+def _changes(values: Array | None) -> bool:
+    """Return whether conditions (N,) are told of all rows, and not the same for all."""
+    return values is not None and float(np.ptp(values)) > 0.0
+
+
+SIDE = Needed(
+    "direction_{}",
+    lambda told, reading: _unsaid(told.approach, reading),
+    lambda told, reading: told.approach is not None and {-1.0, 1.0} <= set(told.approach[:, reading].tolist()),
+)
+MEASURED_TORQUE = Needed(
+    "tau_{}",
+    lambda told, reading: _unsaid(told.torque, reading),
+    lambda told, reading: told.torque is not None and _changes(told.torque[:, reading]),
+)
+TEMPERATURE = Needed(
+    "temperature", lambda told, _: told.temperature is None, lambda told, _: _changes(told.temperature)
+)
+
+
 class Kind(ABC):
     """A kind of joint terms, here of readings.
 
     ``names``: what its terms are called in files and among parameters. ``key``: what chooses them in a job, with other
     ``words`` than "all" and "none", and ``options`` beside it. ``coefficients``: by the dimension of the reading; where
     there is none, ``only`` says of what such terms are. ``shown``: what a millionth of a unit is called in tables;
-    lengths and angles are in mm and deg there. ``masses``: which ones its basis asks for. ``priors``: the field of
-    :class:`calib.Priors`, by the dimension of the reading. ``grows``: whether it does with the reading, without end.
+    lengths and angles are in mm and deg there. ``masses``: which ones its basis asks for. ``needs``: what else of rows
+    it follows. ``chosen_by_data``: whether it is offered where data choose; terms of other kinds are for those who know
+    that they are there. ``priors``: the field of :class:`calib.Priors`, by the dimension of the reading. ``grows``:
+    whether it does with the reading, without end.
     """
 
     names: ClassVar[tuple[str, ...]]
@@ -111,6 +150,8 @@ class Kind(ABC):
     shown: ClassVar[Mapping[str, str]] = MappingProxyType({})
     only: ClassVar[str] = ""
     masses: ClassVar[Literal["none", "stated", "unknown"]] = "none"
+    needs: ClassVar[tuple[Needed, ...]] = ()
+    chosen_by_data: ClassVar[bool] = True
     priors: ClassVar[Mapping[Dimension, str]] = MappingProxyType({})
     of_link: ClassVar[bool] = False
     grows: ClassVar[bool] = False
@@ -139,7 +180,7 @@ class Kind(ABC):
 
     def lacking(self, term: JointTerm, reading: int, conditions: Conditions) -> str | None:
         """Return the column of conditions that a term of the reading of this number would need, or None."""
-        return None
+        return next((own.column.format(term.reading) for own in self.needs if own.lacks(conditions, reading)), None)
 
     # ---- what it is of
 
@@ -193,21 +234,12 @@ class Kind(ABC):
         """Return what data may choose: terms that enter together. ``told``: the conditions of all rows."""
         return tuple(
             (term,)
-            for k, name in enumerate(parts.readings)
+            for k, name in enumerate(parts.readings if self.chosen_by_data else ())
             if not self.refusal(parts, name) and self.shows(parts, told, k)
             for term in self.terms(parts, name, options)
         )
 
     def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
         """Return whether rows with these conditions could show such a term of the reading of this number."""
-        return True
-
-
-def unsaid(values: Array | None, reading: int) -> bool:
-    """Return whether conditions (N, nr) of readings lack those of one."""
-    return values is None or bool(np.isnan(values[:, reading]).any())
-
-
-def changes(values: Array | None) -> bool:
-    """Return whether conditions (N,) are told of all rows, and not the same for all."""
-    return values is not None and float(np.ptp(values)) > 0.0
+        told_apart = all(own.shows(told, reading) for own in self.needs)
+        return told_apart and (self.masses != "stated" or parts.weighed())

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal
 
 from calib.foundations.selection import select
-from calib.robot.conditions import Conditions
 from calib.robot.flexures import Flexure, tilting
 from calib.robot.skeleton import Segment
 from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Parts, Shares
@@ -27,6 +26,7 @@ class Lateral(Kind):
     shown = {"rad/Nm": "urad/Nm"}
     masses: ClassVar[Literal["none", "stated", "unknown"]] = "stated"
     of_link = True
+    chosen_by_data = False
 
     def basis(self, shares: Shares) -> Basis:
         """Return what the bearings hold about their axes, the other way round."""
@@ -55,12 +55,6 @@ class Lateral(Kind):
     def select(self, selection: object, parts: Parts) -> list[str]:
         """Return the chosen joints, of those that move."""
         return select(selection, list(parts.moving), self.key)
-
-    def offered(
-        self, parts: Parts, told: Conditions, options: Mapping[str, object]
-    ) -> tuple[tuple[JointTerm, ...], ...]:
-        """Return nothing: who frees them knows that the bearings are soft."""
-        return ()
 
     def _axes(self, parts: Parts, name: str) -> tuple[JointTerm, ...]:
         if name not in parts.moving:

@@ -45,7 +45,7 @@ class LinkKind(Kind):
         self, parts: Parts, told: Conditions, options: Mapping[str, object]
     ) -> tuple[tuple[JointTerm, ...], ...]:
         """Return one term for every link before a joint that moves, or for all of them where the kind has such."""
-        if not self.shows(parts, told, 0):
+        if not (self.chosen_by_data and self.shows(parts, told, 0)):
             return ()
         names = [""] if WHOLE_ARM in self.words else [name for name, moves in parts.links.items() if moves]
         return tuple(self.terms(parts, name, options) for name in names)

@@ -3,9 +3,8 @@
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions
-from calib.robot.terms.kind import Basis, Coefficient, Kind, Parts, Rows, Shares, changes
-from calib.robot.terms.term import JointTerm
+from calib.robot.conditions import REFERENCE_TEMPERATURE
+from calib.robot.terms.kind import TEMPERATURE, Basis, Coefficient, Kind, Rows, Shares
 
 
 class Thermal(Kind):
@@ -15,18 +14,11 @@ class Thermal(Kind):
     key = "thermal"
     coefficients = {"angle": Coefficient("rad/K", 1e-5), "length": Coefficient("m/K", 1e-5)}
     shown = {"rad/K": "urad/K", "m/K": "um/K"}
+    needs = (TEMPERATURE,)
 
     def basis(self, shares: Shares) -> Basis:
         """Return the same for all."""
         return lambda rows: np.repeat(warmth(rows), len(shares.terms), axis=1)
-
-    def lacking(self, term: JointTerm, reading: int, conditions: Conditions) -> str | None:
-        """Return the column of the temperature, where it is not told."""
-        return "temperature" if conditions.temperature is None else None
-
-    def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
-        """Return whether the temperature changes."""
-        return changes(told.temperature)
 
 
 def warmth(rows: Rows) -> Array:

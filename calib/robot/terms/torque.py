@@ -10,8 +10,7 @@ from typing import ClassVar, cast
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.robot.conditions import Conditions
-from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Option, Parts, Rows, Shares, changes, unsaid
+from calib.robot.terms.kind import MEASURED_TORQUE, Basis, Coefficient, Dimension, Kind, Option, Parts, Rows, Shares
 from calib.robot.terms.term import JointTerm
 
 _OFFSETS = "torque_offsets"
@@ -26,6 +25,7 @@ class Torque(Kind):
     coefficients = {"angle": Coefficient("rad/Nm", 1e-5)}
     shown = {"rad/Nm": "urad/Nm"}
     only = "torques are of joints that turn"
+    needs = (MEASURED_TORQUE,)
 
     def basis(self, shares: Shares) -> Basis:
         """Return the measured torques, the other way round."""
@@ -58,11 +58,3 @@ class Torque(Kind):
         """Return the compliance, and the offset where that is free."""
         free = options.get(_OFFSETS) == "free"
         return tuple(JointTerm(name, kind) for kind in self.names[: 2 if free else 1])
-
-    def lacking(self, term: JointTerm, reading: int, conditions: Conditions) -> str | None:
-        """Return the column of the reading's torque, where it is not told."""
-        return f"tau_{term.reading}" if unsaid(conditions.torque, reading) else None
-
-    def shows(self, parts: Parts, told: Conditions, reading: int) -> bool:
-        """Return whether the torque changes."""
-        return told.torque is not None and changes(told.torque[:, reading])

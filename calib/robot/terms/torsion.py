@@ -1,11 +1,10 @@
 """Torsion: a link twists about its own direction under the torque about it. Basis: -tau, at nominal geometry."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
-from calib.robot.conditions import Conditions
 from calib.robot.flexures import Flexure, twisting
 from calib.robot.skeleton import Segment
-from calib.robot.terms.kind import Basis, Coefficient, Parts, Shares
+from calib.robot.terms.kind import Basis, Coefficient, Shares
 from calib.robot.terms.link import LinkKind
 from calib.robot.terms.term import JointTerm
 
@@ -18,6 +17,7 @@ class Torsion(LinkKind):
     coefficients = {"length": Coefficient("rad/Nm", 1e-5)}
     shown = {"rad/Nm": "urad/Nm"}
     masses = "stated"
+    chosen_by_data = False
 
     def basis(self, shares: Shares) -> Basis:
         """Return what the links' ends hold about the links, the other way round."""
@@ -26,9 +26,3 @@ class Torsion(LinkKind):
     def motions(self, segments: Sequence[Segment], joint: int, term: JointTerm) -> tuple[Flexure, ...]:
         """Return the turn about the link."""
         return twisting(segments, joint)
-
-    def offered(
-        self, parts: Parts, told: Conditions, options: Mapping[str, object]
-    ) -> tuple[tuple[JointTerm, ...], ...]:
-        """Return nothing: who frees it knows that the links are soft."""
-        return ()

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions
-from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Parts, Rows, Shares, changes
+from calib.robot.terms.kind import TEMPERATURE, Basis, Coefficient, Dimension, Kind, Needed, Parts, Rows, Shares
 from calib.robot.terms.term import JointTerm
 from calib.robot.warming import FASTEST, SLOWEST, rungs
 
@@ -27,6 +27,10 @@ class Warming(Kind):
     key = "warming"
     coefficients = {"angle": Coefficient("rad/K", 1e-5), "length": Coefficient("m/K", 1e-5)}
     shown = {"rad/K": "urad/K", "m/K": "um/K"}
+    needs: ClassVar[tuple[Needed, ...]] = (
+        TEMPERATURE._replace(lacks=lambda told, _: told.temperature is None and told.lagged is None),
+        Needed("time", lambda told, _: told.lagged is None, lambda told, _: told.lagged is not None),
+    )
 
     def basis(self, shares: Shares) -> Basis:
         """Return how warm what lags by nominal time constants is."""
@@ -73,15 +77,9 @@ class Warming(Kind):
         self, parts: Parts, told: Conditions, options: Mapping[str, object]
     ) -> tuple[tuple[JointTerm, ...], ...]:
         """Return both coefficients together, of several nominal time constants."""
-        if not changes(told.temperature) or told.lagged is None:
+        if not self.shows(parts, told, 0):
             return ()
         return tuple(warming(name, tau) for name in parts.readings for tau in OFFERED)
-
-    def lacking(self, term: JointTerm, reading: int, conditions: Conditions) -> str | None:
-        """Return the column of the temperature or of the time, where one is not told."""
-        if conditions.temperature is None and conditions.lagged is None:
-            return "temperature"
-        return "time" if conditions.lagged is None else None
 
 
 def warming(reading: str, tau: int) -> tuple[JointTerm, JointTerm]:
