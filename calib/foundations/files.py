@@ -28,7 +28,7 @@ def read_bytes(path: Path, error: type[CalibError], largest: int = LARGEST_INPUT
     Links are followed: a user may name a file as he likes. What is not regular (a folder, a device, a pipe) is not
     opened; nor waited for, if it took the file's place since.
     """
-    with _sentences(path, error, "cannot be read"):
+    with sentences(path, error):
         if not path.exists():
             raise error(f"{path}: there is no such file.")
         if not path.is_file():
@@ -42,7 +42,7 @@ def read_inside(folder: Path, name: str, error: type[CalibError], largest: int =
     For what is handed on to others, whom the link's own permissions would not let read.
     """
     path = folder / name
-    with _sentences(path, error, "cannot be read"), opened_folder(folder) as handle:
+    with sentences(path, error), opened_folder(folder) as handle:
         found = lstat(name, handle)
         if found is None:
             raise error(f"{path}: there is no such file.")
@@ -70,7 +70,8 @@ def _contents(handle: int, path: Path, error: type[CalibError], largest: int) ->
 
 
 @contextlib.contextmanager
-def _sentences(path: Path, error: type[CalibError], what: str) -> Iterator[None]:
+def sentences(path: object, error: type[CalibError], what: str = "cannot be read") -> Iterator[None]:
+    """Let an OSError of the block be an ``error`` that says of a file ``what`` cannot be done, and why."""
     try:
         yield
     except CalibError:
@@ -132,11 +133,15 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def refuse_taken(path: Path) -> None:
-    """Raise OutputError when something, be it a link that leads nowhere, has the name of a file that is to be new."""
-    # What hides from this user, or has no name that a file can have, the attempt to write it finds out.
-    if os.path.lexists(path):
-        raise OutputError(f"{path}: already exists; choose another name.")
+def refuse_taken(*paths: Path | None) -> None:
+    """Raise OutputError when something, be it a link that leads nowhere, has the name of a file that is to be new.
+
+    None stands for a file that is not asked for.
+    """
+    for path in paths:
+        # What hides from this user, or has no name that a file can have, the attempt to write it finds out.
+        if path is not None and os.path.lexists(path):
+            raise OutputError(f"{path}: already exists; choose another name.")
 
 
 def stamp(path: Path) -> tuple[int, int, int] | None:
@@ -166,7 +171,7 @@ def write_atomically(path: Path, data: bytes | str, *, new: bool = False) -> Non
     (a link, a folder, a device); what is there is then untouched.
     """
     data = encoded(data) if isinstance(data, str) else data
-    with _sentences(path, OutputError, "cannot be written"), opened_folder(path.parent) as folder:
+    with sentences(path, OutputError, "cannot be written"), opened_folder(path.parent) as folder:
         if new:
             refuse_taken(path)
         found = lstat(path.name, folder)

@@ -26,7 +26,7 @@ from calib.assessment.validation import ChosenRows, HeldOut, cross_validate, hel
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.identify import residuals_of
 from calib.identification.targets import Target
-from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
+from calib.presentation.command_tables import comparison_sentences, comparison_sheet
 from calib.robot.terms.harmonic import harmonic
 from scripts.studies import model_comparison as script
 from tests.support import machines, touching

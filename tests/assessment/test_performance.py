@@ -28,7 +28,7 @@ from calib.job.run import run
 from calib.measurement.table import table_from_arrays
 from calib.measurement.touches import Touches, read_touches, touches
 from calib.positioner.pivot import pivot
-from calib.presentation.performance_tables import performance_sheet
+from calib.presentation.command_tables import performance_sheet
 from calib.presentation.tables import plain, sheet_table
 from calib.results.folder import write_results
 
