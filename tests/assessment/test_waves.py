@@ -9,7 +9,7 @@ import calib
 from calib.assessment import choice as choice_module
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.entering import Products
-from calib.assessment.validation import ChosenRows, folds, predict_held_out, row_groups, surely_less
+from calib.assessment.validation import cross_validate, surely_less
 from calib.assessment.waves import Known, Offer, better
 from calib.identification.error_model import with_terms
 from calib.presentation.sheets import choice_sheet
@@ -71,12 +71,7 @@ def test_their_linear_figures_are_those_of_fits(
     """The linear folds choose for themselves, the fits take what all rows have chosen."""
     _, data, _, choice = many
     assert choice.waves is not None
-    group = row_groups([data])
-
-    def find(rows: ChosenRows) -> calib.Fit:
-        return calib.identify(choice.model, rows.sets)
-
-    full = predict_held_out(find, choice.model, [data], group, folds(group, 10))
+    full = cross_validate(choice.model, data)
     assert choice.waves.rms == pytest.approx(full.figure().rms, rel=0.1)
 
 
