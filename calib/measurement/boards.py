@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields, refuse_fields
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
@@ -53,6 +53,7 @@ class Board:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        own_fields(self)
         refuse_shape(self.marks, (None, 3), "board: marks")
         refuse_beyond(self.marks, "position, station, point", "board: marks")
         refuse_beyond(self.scale_sigma, "square_sigma", "board: square_sigma")

@@ -56,6 +56,9 @@ LIMIT_KERNEL = 2.5
 LIMIT_SYSTEM = 4.0
 LIMIT_IDENTIFY = 80.0
 LIMIT_EVALUATIONS = 6
+# So few rows that calls cost more than numbers, and what is told of these.
+FEW = 100
+PARTS = ("NumPy alone, frames being known", "ours, the machine being known", "ours, a single one of the rows")
 # Time per pose of the largest problem over that of 1000 poses.
 LIMIT_GROWTH = 1.5
 
@@ -184,7 +187,7 @@ def lines_of(observes: str, rounds: int, bare: Callable[[Array], None]) -> list[
     units = scales(problem.parameters)
     works = {
         "bare": lambda: bare(c.data.readings),
-        "jacobian": lambda: [None for _ in system.blocks(problem, c.data, problem.machine(fit.values), units)],
+        "jacobian": lambda: [None for _ in system.Rates(problem, problem.machine(fit.values), units).blocks(c.data)],
         "evaluate": lambda: system.evaluate(problem, [c.data.sigma], fit.values),
         "identify": lambda: calib.identify(c.model, c.data),
     }
@@ -221,7 +224,7 @@ def kernels(largest: int, rounds: int, bare: Callable[[Array], None], library: c
             units = scales(problem.parameters)
 
             def ours(p: Problem = problem, x: Array = fit.values, u: Array = units) -> None:
-                for _ in system.blocks(p, p.measurements[0], p.machine(x), u):
+                for _ in system.Rates(p, p.machine(x), u).blocks(p.measurements[0]):
                     pass
 
             plain = yardsticks.plain(problem, problem.measurements[0], problem.machine(fit.values), units)
@@ -235,8 +238,10 @@ def kernels(largest: int, rounds: int, bare: Callable[[Array], None], library: c
                 loop, unit = yardsticks.Loop(library, plain), "loop in C++"
                 works |= {unit: loop, "loop in C++, kinematics alone": loop.kinematics}
             refuse_other(works, plain, problem, fit.values, units)
+            if n == FEW:
+                works |= parts(problem, plain, fit.values, units)
             seconds = interleaved(works, max(rounds, 10_000 // n) if n < 100_000 else 3)
-            for name in ("loop in C++, kinematics alone", "loop in C++", *list(works)[1:3], "ours"):
+            for name in ("loop in C++, kinematics alone", "loop in C++", *list(works)[1:3], "ours", *PARTS):
                 if name in works:
                     ratio = median(t / b for t, b in zip(seconds[name], seconds[unit], strict=True))
                     limit = LIMIT_KERNEL if name == "ours" and n == 10_000 else None
@@ -245,9 +250,23 @@ def kernels(largest: int, rounds: int, bare: Callable[[Array], None], library: c
     return lines
 
 
+def parts(problem: Problem, plain: yardsticks.Plain, x: Array, units: Array) -> dict[str, Callable[[], object]]:
+    """What few rows cost: Pinocchio's calls, the fewest of NumPy, and what of ours does not depend on the rows."""
+    data, there = problem.measurements[0], yardsticks.walked(plain)
+    first = data.subset([0])
+
+    def machine() -> None:
+        # What no row is needed for is made with the first one.
+        next(system.Rates(problem, problem.machine(x), units).blocks(first))
+
+    known = system.Rates(problem, problem.machine(x), units)
+    works = (lambda: yardsticks.from_frames(plain, there), lambda: list(known.blocks(data)), machine)
+    return dict(zip(PARTS, works, strict=True))
+
+
 def refuse_other(works: dict[str, Callable[[], object]], plain: object, problem: Problem, x: Array, u: Array) -> None:
     """Hold the yardsticks against our own answer: what does other work is none."""
-    found = list(system.blocks(problem, problem.measurements[0], problem.machine(x), u))
+    found = list(system.Rates(problem, problem.machine(x), u).blocks(problem.measurements[0]))
     own = np.concatenate([b.observed.residual for b in found]), np.concatenate([b.J for b in found])
     answers = [lambda: yardsticks.batched(plain)] + [w for w in works.values() if isinstance(w, yardsticks.Loop)]
     if (worst := max(yardsticks.same(answer, own) for answer in answers)) > 1e-7:
@@ -307,6 +326,10 @@ C++ over Pinocchio's own functions that makes the same numbers: forward kinemati
 regressor, then residual and derivatives by all unknowns. It, and plain NumPy that knows this one kind of machine alone,
 are held against our answer before they are timed. Kinematics alone, in C++ and in Python, keep nothing of what they
 find.
+
+Of 100 rows calls cost more than numbers, so that some lines tell parts: what NumPy needs at least where Pinocchio has
+left all frames; ours where the machine was made of its parameters before, as it is for plain NumPy and C++; and ours of
+a single row, for which every call is made that all rows need, but those of Pinocchio.
 
 The rest is of {poses} rows where nothing else is said, as multiples of the bare Pinocchio loop in Python. The
 least-squares fit by 2-point differences is what one would write first: it is given our start values, scales and wide

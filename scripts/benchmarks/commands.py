@@ -3,8 +3,8 @@
     python scripts/benchmarks/commands.py [--before FOLDER] [--only NAME ...] [--repeats 3] [--markdown FILE]
 
 The commands are run with this project, and in turn with another checkout of it, for example ``git worktree add FOLDER
-COMMIT``; what they print must be the same. Jobs are the shipped IRB2400 with every second row, and a simulated UR10.
-The table has medians of the repeats.
+COMMIT``; the table tells where both do not print the same. Jobs are the shipped IRB2400 with every second row, and a
+simulated UR10. The table has medians of the repeats. Modules are compiled beforehand.
 """
 
 import argparse
@@ -25,9 +25,11 @@ PAGE = """# Where users wait
 
 Made by `python scripts/benchmarks/commands.py{arguments} --markdown docs/benchmark_commands.md`, one BLAS thread, on a
 machine that others used at the same time. Seconds are the processor's, of whole processes, medians of {repeats};
-commands of both take turns, and print the same.
+commands take turns.{before}
 
 """
+BEFORE = """ Before: a checkout of {date}. Where a command of both does not print the same, what it chooses or
+tells has changed since then."""
 SAID = {
     "models": "`calib models`, an IRB2400 with a closed loop, 102 rows",
     "uncertainty": "`calib uncertainty` of its result",
@@ -51,9 +53,14 @@ def halved(folder: Path) -> Path:
     return folder / "calibration.toml"
 
 
-def run(tree: Path, *arguments: str) -> tuple[float, str]:
-    """Return the processor time of a command and its children, and what it printed."""
-    settings = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(tree)}
+def run(compiled: Path, tree: Path, *arguments: str) -> tuple[float, str]:
+    """Return the processor time of a command and its children, and what it printed; modules are ``compiled`` there."""
+    settings = {
+        **os.environ,
+        "OPENBLAS_NUM_THREADS": "1",
+        "PYTHONPATH": str(tree),
+        "PYTHONPYCACHEPREFIX": str(compiled),
+    }
     before = os.times()
     done = subprocess.run(
         [sys.executable, "-c", CALIB, *arguments], env=settings, cwd=tree, capture_output=True, text=True, check=False
@@ -64,11 +71,18 @@ def run(tree: Path, *arguments: str) -> tuple[float, str]:
     return after.children_user + after.children_system - before.children_user - before.children_system, done.stdout
 
 
+def compile_modules(compiled: Path, tree: Path) -> None:
+    """Compile the modules of a tree once, as an installation does."""
+    settings = {**os.environ, "PYTHONPYCACHEPREFIX": str(compiled)}
+    modules = [str(tree / "calib"), str(tree / "calib_start")]
+    subprocess.run([sys.executable, "-m", "compileall", "-q", *modules], env=settings, check=True)
+
+
 def works(folder: Path) -> dict[str, tuple[str, ...]]:
     """Return the arguments of every command; files are in a folder."""
     (folder / "irb2400").mkdir()
     job = str(halved(folder / "irb2400"))
-    run(HERE, "calibrate", job, "-o", str(folder / "result"))
+    run(folder / "compiled", HERE, "calibrate", job, "-o", str(folder / "result"))
     (folder / "identification.csv").write_text(simulated(3000), encoding="utf-8")
     auto = folder / "auto.toml"
     auto.write_text(JOB.replace('tool = "position"\n', 'tool = "position"\nterms = "auto"\n'), encoding="utf-8")
@@ -83,6 +97,12 @@ def works(folder: Path) -> dict[str, tuple[str, ...]]:
     }
 
 
+def date_of(tree: Path) -> str:
+    """Return the date of what is checked out in a tree."""
+    told = ["git", "-C", str(tree), "log", "-1", "--format=%cd", "--date=short"]
+    return subprocess.run(told, capture_output=True, text=True, check=True).stdout.strip()
+
+
 def main() -> int:
     """Measure, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -94,6 +114,8 @@ def main() -> int:
     trees = [*([given.before.resolve()] if given.before else []), HERE]
     rows = []
     with tempfile.TemporaryDirectory() as name:
+        for tree in trees:
+            compile_modules(Path(name) / "compiled", tree)
         for what, arguments in works(Path(name)).items():
             if given.only and what not in given.only:
                 continue
@@ -103,21 +125,21 @@ def main() -> int:
                 for tree, found in zip(trees, times, strict=True):
                     shutil.rmtree(Path(name) / "out", ignore_errors=True)
                     (Path(name) / "out").mkdir()
-                    seconds, text = run(tree, *arguments)
+                    seconds, text = run(Path(name) / "compiled", tree, *arguments)
                     found.append(seconds)
                     printed.append(text)
-                if len(set(printed)) > 1:
-                    print(f"{what}: both print something else.", file=sys.stderr)
             medians = [statistics.median(found) for found in times]
             cells = [f"{median:.1f}" for median in medians]
-            cells += [f"{medians[-1] / medians[0]:.2f}"] if len(trees) > 1 else []
+            if len(trees) > 1:
+                cells += [f"{medians[-1] / medians[0]:.2f}", "yes" if len(set(printed)) == 1 else "no"]
             rows.append(f"| {SAID[what]} | {' | '.join(cells)} |")
             print(rows[-1], flush=True)
     if given.markdown is not None:
-        heading = ["before [s]", "now [s]", "now / before"] if len(trees) > 1 else ["s"]
+        heading = ["before [s]", "now [s]", "now / before", "prints the same"] if len(trees) > 1 else ["s"]
         lines = [f"| command | {' | '.join(heading)} |", f"| --- |{' --: |' * len(heading)}", *rows, ""]
         arguments = " --before FOLDER" if given.before else ""
-        page = PAGE.format(arguments=arguments, repeats=given.repeats) + "\n".join(lines)
+        before = BEFORE.format(date=date_of(given.before)) if given.before else ""
+        page = PAGE.format(arguments=arguments, repeats=given.repeats, before=before) + "\n".join(lines)
         given.markdown.write_text(page, encoding="utf-8")
     return 0
 

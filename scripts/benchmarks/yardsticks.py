@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,9 +82,23 @@ def plain(problem: Problem, data: Measurements, at: Machine, units: Array) -> Pl
 # ---- NumPy over all rows
 
 
+class Walked(NamedTuple):
+    """Where joints and tool are, rows last: ``axes`` (nj, 3, 3, N) and ``origins`` (nj, 3, N), the tool at R and p."""
+
+    axes: Array
+    origins: Array
+    R: Array
+    p: Array
+
+
 def batched(plain: Plain) -> Answer:
     """Return residuals and Jacobians of all rows at once, as anyone could write them who has one such machine."""
-    n, nj, size = len(plain.readings), len(plain.placements), plain.size
+    return from_frames(plain, walked(plain))
+
+
+def walked(plain: Plain) -> Walked:
+    """Return where joints and tool are in all rows."""
+    n, nj = len(plain.readings), len(plain.placements)
     c, s = np.cos(plain.readings.T), np.sin(plain.readings.T)
     # Rows come last, so that every step is one over all of them; axes: joint, column, coordinate.
     axes, origins = np.empty((nj, 3, 3, n)), np.empty((nj, 3, n))
@@ -99,7 +114,13 @@ def batched(plain: Plain) -> Answer:
         R, p = np.empty((3, 3, n)), origins[j]
         R[0], R[1] = c[j] * axes[j, 0] + s[j] * axes[j, 1], c[j] * axes[j, 1] - s[j] * axes[j, 0]
         R[2] = axes[j, 2]
-    R, p = moved(plain.tip @ plain.tool)
+    return Walked(axes, origins, *moved(plain.tip @ plain.tool))
+
+
+def from_frames(plain: Plain, there: Walked) -> Answer:
+    """Return residuals and Jacobians of all rows, where joints and tool are being known."""
+    n, nj, size = len(plain.readings), len(plain.placements), plain.size
+    axes, origins, R, p = there
     # How the tool's position follows a shift and a turn of every placement, and how the tool turns with it.
     by = np.zeros((size, 6 * nj + 6, n))
     joints = by[:, :-6].reshape(size, nj, 6, n)
