@@ -49,8 +49,8 @@ if TYPE_CHECKING:
     from calib.measurement.arrays import poses, positions
     from calib.measurement.measurements import Measurements
     from calib.measurement.read import read_measurements
-    from calib.presentation.fit_plots import plot
     from calib.presentation.frames import data_frame
+    from calib.presentation.plots import plot
     from calib.presentation.tables import table
     from calib.results.calibration import Calibration, assess
     from calib.results.folder import report, save, scene
@@ -78,7 +78,7 @@ _HOMES = {
     "measurement.arrays": "poses positions",
     "measurement.measurements": "Measurements",
     "measurement.read": "read_measurements",
-    "presentation.fit_plots": "plot",
+    "presentation.plots": "plot",
     "presentation.frames": "data_frame",
     "presentation.tables": "table",
     "results.calibration": "Calibration assess",

@@ -181,7 +181,7 @@ def test_a_file_that_ends_too_soon_is_no_wish_to_end(tmp_path: Path, monkeypatch
     def cut_off(*_: object, **__: object) -> None:
         raise EOFError("marshal data too short")
 
-    monkeypatch.setattr("calib.job.board.board_toml", cut_off)
+    monkeypatch.setattr("calib.job.read.board_toml", cut_off)
     with pytest.raises(EOFError, match="marshal data too short"):
         run("board", "-o", tmp_path / "board")
     assert list(tmp_path.iterdir()) == []

@@ -17,7 +17,7 @@ from calib_start import loading
 with loading():
     from calib.app.folder import JOB, MADE, PHOTOGRAPHS, RESULTS, gather
     from calib.foundations.errors import CalibError, JobError, OutputError
-    from calib.foundations.files import read_bytes, write_atomically
+    from calib.foundations.files import read_bytes, sentences, write_atomically
     from calib.foundations.words import shown
     from calib.job.calibrate import STEPS_OF_LOADING, calibrate
     from calib.job.inputs import load
@@ -143,10 +143,8 @@ def _as_texts(names: Sequence[str]) -> list[str]:
 
 
 def _made(name: str, text: str) -> str:
-    try:
+    with sentences(MADE, OutputError, "cannot be made"):
         Path(MADE).mkdir(mode=0o700, exist_ok=True)
-    except OSError as e:
-        raise OutputError(f"{MADE}: cannot be made ({e.strerror}).") from e
     write_atomically(Path(MADE, name), text)
     return f"{MADE}/{name}"
 
@@ -173,11 +171,7 @@ def _photographed(asked: Mapping[str, Any], tables: Sequence[str], boards: Seque
     table = _made(_MARKS, found.table())
     model = _made(_FLANGE, found.urdf) if found.urdf else robot
     write_atomically(Path(JOB), found.job(model, table, boards[0], camera_on=asked["camera_on"]))
-    told = found.contents()
-    reasons = [f"{remark}." for remark in found.remarks]
-    reasons += [f"{one.name} is left out: {one.left_out}." for one in found.photographs if one.left_out]
-    reasons.append(f"{told['corners']} corners of {told['used']} photographs; {told['sigma']:.3f} px each.")
-    return {"reasons": reasons, "tables": [], **check(asked, say)}
+    return {"reasons": found.sentences, "tables": [], **check(asked, say)}
 
 
 def _grid(found: Proposal, tables: Sequence[str]) -> list[dict[str, Any]]:
@@ -186,14 +180,12 @@ def _grid(found: Proposal, tables: Sequence[str]) -> list[dict[str, Any]]:
     grids = []
     for file in tables:
         raw = raw_table(read_bytes(Path(file), JobError), file)
-        columns = {}
-        for column in raw.columns:
-            columns[column.title] = {"values": list(column.words[:_SHOWN_VALUES]), "unit": column.symbol}
+        columns = {c.title: {"values": list(c.words[:_SHOWN_VALUES]), "unit": c.symbol} for c in raw.columns}
         table = known.get(file)
-        read = []
-        for ours, theirs in ({} if table is None else table.columns.names).items():
-            name, unit = split_title(ours)
-            read.append({"name": name, "unit": unit, "title": theirs})
+        names = {} if table is None else table.columns.names
+        read = [
+            dict(zip(("name", "unit"), split_title(ours), strict=True), title=theirs) for ours, theirs in names.items()
+        ]
         grids.append(
             {
                 "file": file,

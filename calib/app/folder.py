@@ -20,7 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Literal
 
 from calib.foundations.errors import DAMAGED, OutputError
-from calib.foundations.files import write_atomically
+from calib.foundations.files import sentences, write_atomically
 from calib.foundations.words import shown
 from calib.measurement.formats.images import ENDINGS
 
@@ -90,15 +90,11 @@ def private_folder(path: Path | None) -> Iterator[Path]:
         with tempfile.TemporaryDirectory(prefix="calib-app-") as made:
             yield Path(made)
         return
-    try:
+    with sentences(path, OutputError, "cannot be made"):
         if os.path.lexists(path) and (path.is_symlink() or not path.is_dir() or not (_left(path) or _empty(path))):
             raise OutputError(f"{path}: already exists, and is neither empty nor left by this page; choose another.")
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         path.chmod(0o700)
-    except OutputError:
-        raise
-    except (OSError, ValueError) as e:
-        raise OutputError(f"{path}: cannot be made ({getattr(e, 'strerror', None) or e}).") from e
     with _alone_in(path):
         yield path.absolute()
 
@@ -106,10 +102,8 @@ def private_folder(path: Path | None) -> Iterator[Path]:
 @contextlib.contextmanager
 def _alone_in(folder: Path) -> Iterator[None]:
     """Keep other pages out of a folder: of two, each would write what it knows over what the other one knows."""
-    try:
+    with sentences(folder, OutputError, "files cannot be kept in it"):
         handle = os.open(folder / _SERVED, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-    except OSError as e:
-        raise OutputError(f"{folder}: files cannot be kept in it ({e.strerror}).") from e
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
@@ -245,11 +239,9 @@ def gather(folder: Path, robot: str, uris: Sequence[str], meshes: Sequence[str])
     """
     own = folder / ROBOT
     shutil.rmtree(own, ignore_errors=True)
-    try:
+    with sentences(f"{ROBOT}/{robot}", OutputError, "cannot be written"):
         own.mkdir(mode=0o700)
         shutil.copyfile(folder / robot, own / robot)
-    except OSError as e:
-        raise OutputError(f"{ROBOT}/{robot}: cannot be written ({e.strerror}).") from e
     dropped = [PurePosixPath(name).parts for name in meshes]
     lost = []
     every = tuple(dict.fromkeys(uris))
@@ -296,10 +288,8 @@ def take(folder: Path, name: str, data: bytes, there: Mapping[str, int]) -> str:
         raise OutputError(f"{shown(plain)}: is one file more than the {_MOST_FILES} that are allowed.")
     if len(data) > LARGEST_FILE or len(data) + sum(others) > _LARGEST_SUM:
         raise OutputError(f"{shown(plain)}: {TOO_LARGE}")
-    try:
+    with sentences(shown(plain), OutputError, "cannot be kept"):  # such as for a file where a folder is to be
         place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    except OSError as e:  # such as a file where a folder is to be
-        raise OutputError(f"{shown(plain)}: cannot be kept ({e.strerror}).") from e
     write_atomically(place, data)
     return plain
 
@@ -332,7 +322,7 @@ def as_zip(folder: Path) -> IO[bytes]:
     Raises OutputError where it cannot be made, as on a full disk.
     """
     with contextlib.ExitStack() as stack:
-        try:
+        with sentences("The archive", OutputError, "cannot be made"):
             archive = stack.enter_context(tempfile.TemporaryFile())
             with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, strict_timestamps=False) as into:
                 for place in (folder, *(folder / name for name in (MADE, PHOTOGRAPHS, ROBOT, RESULTS))):
@@ -341,7 +331,5 @@ def as_zip(folder: Path) -> IO[bytes]:
                         if path.is_file() and not path.is_symlink() and path.name not in (SESSION, _SERVED):
                             into.write(path, Path("calibration") / path.relative_to(folder))
             archive.seek(0)
-        except OSError as e:
-            raise OutputError(f"The archive cannot be made ({e.strerror}).") from e
         stack.pop_all()  # whoever asked closes it
         return archive

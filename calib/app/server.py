@@ -88,6 +88,18 @@ class _Ours(Guarded):
         self.set_status(status)
         self.finish({"sentence": sentence})
 
+    def log_exception(self, typ: Any, value: BaseException | None, tb: Any) -> None:
+        if not isinstance(value, CalibError):
+            super().log_exception(typ, value, tb)
+
+    def write_error(self, status_code: int, **kwargs: Any) -> None:
+        """Answer an error of a user's with its sentence, all others as tornado does."""
+        error = kwargs.get("exc_info", (None, None))[1]
+        if isinstance(error, CalibError):
+            self.refuse(400, str(error))
+        else:
+            super().write_error(status_code, **kwargs)
+
 
 class _Page(_Ours):
     def get(self, name: str) -> None:
@@ -130,19 +142,11 @@ class _Files(_Ours):
         self._pieces.append(chunk)
 
     async def put(self, name: str) -> None:
-        try:
-            await self.session.drop(name, b"".join(self._pieces))
-        except CalibError as e:
-            self.refuse(400, str(e))
-            return
+        await self.session.drop(name, b"".join(self._pieces))
         self.finish(self.session.state())
 
     async def delete(self, name: str) -> None:
-        try:
-            await self.session.remove(name)
-        except CalibError as e:
-            self.refuse(400, str(e))
-            return
+        await self.session.remove(name)
         self.finish(self.session.state())
 
 
@@ -150,14 +154,10 @@ class _Offer(_Ours):
     """What is about to be dropped; answered by what is of use of it."""
 
     def post(self) -> None:
-        try:
-            paths = _said(self.request.body).get("paths")
-            if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
-                raise JobError(_UNKNOWN)
-            wanted = self.session.offer(paths)
-        except CalibError as e:
-            self.refuse(400, str(e))
-            return
+        paths = _said(self.request.body).get("paths")
+        if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
+            raise JobError(_UNKNOWN)
+        wanted = self.session.offer(paths)
         self.finish({**self.session.state(), "wanted": wanted})
 
 
@@ -173,14 +173,7 @@ def _said(body: bytes) -> dict[str, Any]:
 
 class _Verb(_Ours):
     async def post(self, verb: str) -> None:
-        try:
-            await self._do(verb, _said(self.request.body))
-        except CalibError as e:
-            self.refuse(400, str(e))
-            return
-        self.finish(self.session.state())
-
-    async def _do(self, verb: str, said: dict[str, Any]) -> None:
+        said = _said(self.request.body)
         match verb:
             case "look":
                 await self.session.look(said)
@@ -190,6 +183,7 @@ class _Verb(_Ours):
                 await self.session.calibrate()
             case _:
                 await self.session.cancel()
+        self.finish(self.session.state())
 
 
 class _Results(_Ours):

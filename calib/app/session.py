@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.app.folder import JOB, RESULTS, SESSION, apart, chosen, is_there, kind_of, remove, take, unpacked
-from calib.foundations.errors import JobError, OutputError
+from calib.foundations.errors import DAMAGED, JobError, OutputError
 from calib.foundations.files import LARGEST_JSON, read_inside, write_atomically
 from calib.foundations.words import shown
 from calib.robot.sources import EXAMPLE
@@ -187,16 +187,7 @@ class Session:
                 kept["asked"]["robot"] = ""
             self._asked = self._understood(kept["asked"])
             self._sentence = str(kept["sentence"])
-        except (
-            OutputError,
-            JobError,
-            ValueError,
-            LookupError,
-            TypeError,
-            AttributeError,
-            RecursionError,
-            OverflowError,
-        ) as e:
+        except DAMAGED as e:
             raise OutputError(f"{where}: was not written by this page; choose another folder.") from e
         # What was found holds for all files that were there.
         if set(self._files) == set(files) and (self.folder / JOB).is_file():

@@ -112,9 +112,11 @@ class Blame:
 def blame(fit: Fit, sets: Sequence[JudgedSet]) -> Blame | None:
     """Return what explains the photographs of boards that are held out, or all where none are; None without boards."""
     judged, free = _tried(fit, sets)
-    if (ends := _ends(fit, judged, free)) is None:
+    if not free:
         return None
-    whole, left, corners = ends
+    whole, left, corners = _left(fit, judged, ()), _all_free(fit, judged, free), _corners(fit, judged)
+    if whole is None or left is None or corners is None:
+        return None
     several = len(free) > 1
     alone = {name: _left(fit, judged, (name,)) if several else left for name in free}
     others = {name: [other for other in free if other != name] for name in free}
@@ -140,25 +142,6 @@ def blame(fit: Fit, sets: Sequence[JudgedSet]) -> Blame | None:
         _named(whole, left, corners, alone.items(), beside.items()),
         "lens" in held,
     )
-
-
-def named_cause(fit: Fit, sets: Sequence[JudgedSet]) -> CauseName | None:
-    """Return the cause that :func:`blame` names, by the few of its fits that this takes."""
-    judged, free = _tried(fit, sets)
-    if (ends := _ends(fit, judged, free)) is None:
-        return None
-    whole, left, corners = ends
-    alone = ((name, _left(fit, judged, (name,))) for name in free)
-    beside = ((name, _left(fit, judged, [other for other in free if other != name])) for name in free)
-    return _named(whole, left, corners, alone, beside)
-
-
-def _ends(fit: Fit, judged: Sequence[JudgedSet], free: Sequence[CauseName]) -> tuple[float, float, float] | None:
-    """Return what is left with no cause free, with all, and of corners alone; None where one of them is not told."""
-    if not free:
-        return None
-    whole, left, corners = _left(fit, judged, ()), _all_free(fit, judged, free), _corners(fit, judged)
-    return None if whole is None or left is None or corners is None else (whole, left, corners)
 
 
 def _tried(fit: Fit, sets: Sequence[JudgedSet]) -> tuple[list[JudgedSet], list[CauseName]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.assessment.design import DesignRows
 from calib.foundations import rigid
-from calib.foundations.arguments import checked, refuse_fields
+from calib.foundations.arguments import checked, own_fields, refuse_fields
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import MOST_POSES, Observed
@@ -59,6 +59,7 @@ class PlannedMeasurement:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        own_fields(self)
         if self.observes not in get_args(Observed):
             raise JobError(f"observes: {self.observes!r} is not one of {', '.join(get_args(Observed))}.")
         if self.working is not None:

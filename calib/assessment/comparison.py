@@ -33,7 +33,6 @@ from calib.foundations.choices import FOLDS
 from calib.foundations.errors import IdentificationError, JobError
 from calib.identification.error_model import ErrorModel, error_model, with_terms
 from calib.identification.fit import Fit
-from calib.identification.identify import identify, identify_near
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
@@ -193,10 +192,9 @@ def compare_models(
     group = row_groups(sets, places=True)
     all_rows = len(group)
     looked_at = some_rows(sets, group, _ENOUGH_ROWS)
-    if not looked_at.all():
-        some = ChosenRows.of(sets, np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1]))
-        sets, model_sigmas, losses = some.sets, some.sigmas(model_sigmas), some.losses(losses)
-        group = np.unique(group[looked_at], return_inverse=True)[1]
+    masks = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
+    rows = ChosenRows(sets, model_sigmas, losses).some(masks)
+    group = np.unique(group[looked_at], return_inverse=True)[1]
     fold = _folds(group, scheme)
     number = int(fold.max()) + 1
     fits: dict[str, Fit] = {}
@@ -208,10 +206,10 @@ def compare_models(
         texts = (f"{name}: all rows", *(f"{name}: fold {k + 1} of {number}" for k in range(number)))
         left = (number + 1) * (len(models) - i)
         told = iter([(text, left - k) for k, text in enumerate(texts)])
-        find = _finder(model, name in choose, model_sigmas, losses, told, progress, geometries.get(id(model)))
+        find = _finder(model, name in choose, told, progress, geometries.get(id(model)))
         try:
-            fits[name] = find(ChosenRows.of(sets, [np.ones(len(data), dtype=np.bool_) for data in sets]))
-            crossed[name] = predict_held_out(find, model, sets, group, fold)
+            fits[name] = find(rows)
+            crossed[name] = predict_held_out(find, model, rows, group, fold)
         except IdentificationError as e:
             refused[name] = str(e)
     if not crossed:
@@ -241,8 +239,6 @@ def _folds(group: IntArray, scheme: Scheme) -> IntArray:
 def _finder(
     model: ErrorModel,
     choosing: bool,
-    model_sigmas: Sequence[float | None] | None,
-    losses: Sequence[Loss] | None,
     told: Iterator[tuple[str, int]],
     progress: Callable[[str, int], None],
     geometries: list[Fit] | None,
@@ -257,15 +253,13 @@ def _finder(
     def find(rows: ChosenRows) -> Fit:
         nonlocal whole
         progress(*next(told))
-        sigmas, own_losses = rows.sigmas(model_sigmas), rows.losses(losses)
-        here = model.within(rows.sets)
         if choosing:
-            known = geometries.pop(0) if geometries else None
-            return choose_terms(here, rows.sets, model_sigmas=sigmas, losses=own_losses, geometric=known).fit
+            known, here = geometries.pop(0) if geometries else None, model.within(rows.sets)
+            sigmas, losses = rows.model_sigmas, rows.losses
+            return choose_terms(here, rows.sets, model_sigmas=sigmas, losses=losses, geometric=known).fit
+        fit = rows.fit(model, near=whole)
         if whole is None:
-            fit = whole = identify(here, rows.sets, model_sigmas=sigmas, losses=own_losses)
-        else:
-            fit = identify_near(whole, here, rows.sets, model_sigmas=sigmas, losses=own_losses)
+            whole = fit
         if geometries is not None:
             geometries.append(fit)
         return fit

@@ -204,8 +204,13 @@ def sequence(s: Space, count: int) -> tuple[int, ...]:
 
 def random_values(s: Space, count: int, designs: int, seed: int = 0) -> Array:
     """Return the criterion's values (designs,) of random designs of ``count`` candidates, for comparison."""
+    return np.array([value_of(s, chosen) for chosen in random_sets(s, count, designs, seed)])
+
+
+def random_sets(s: Space, count: int, designs: int, seed: int = 0) -> list[tuple[int, ...]]:
+    """Return random designs of ``count`` candidates."""
     rng = np.random.default_rng(seed)
-    return np.array([value_of(s, tuple(map(int, rng.permutation(len(s.A))[:count]))) for _ in range(designs)])
+    return [tuple(map(int, rng.permutation(len(s.A))[:count])) for _ in range(designs)]
 
 
 def _exchanged(s: Space, begin: Sequence[int]) -> Design:

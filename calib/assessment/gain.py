@@ -9,10 +9,8 @@ from scipy.special import stdtrit
 from calib.assessment.effects import memory
 from calib.assessment.judged import JudgedSet
 from calib.assessment.metrics import error_norms, metrics
+from calib.assessment.validation import ONE_POSE, both_ends
 from calib.foundations.arrays import Array
-
-# Readings (rad or m) within this of each other are of one pose, as in calib.assessment.validation.
-ONE_POSE = 1e-3
 
 
 class Gain(NamedTuple):
@@ -50,8 +48,8 @@ def gain(judged: Sequence[JudgedSet], quantity: str) -> Gain:
 def _ratios(one: JudgedSet, quantity: str) -> Array:
     """Return logarithms of errors before over those after, means of stretches of poses in order of their rows."""
     before, after = (error_norms(one.data.kind, r)[quantity] for r in (one.before, one.after))
-    readings = np.hstack([one.data.ends[0].readings, one.data.ends[-1].readings])
-    _, first, cell = np.unique(np.round(readings / ONE_POSE), axis=0, return_index=True, return_inverse=True)
+    cells = np.round(both_ends(one.data) / ONE_POSE)
+    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     squares = [np.bincount(cell.reshape(-1), weights=r**2)[order] for r in (before, after)]
     x = 0.5 * np.log(np.maximum(squares[0], 1e-24) / np.maximum(squares[1], 1e-24))

@@ -98,18 +98,12 @@ class Residue:
     @classmethod
     def of(cls, fit: Fit, files: Mapping[str, str]) -> "Residue":
         """Evaluate a fit where it ended."""
+        known = fit.model.relations, fit.losses
         problem = Problem(
-            fit.model,
-            fit.parameters,
-            fit.machine.frames,
-            fit.measurements,
-            relations=fit.model.relations,
-            given_losses=fit.losses,
-            together=fit.together,
+            fit.model, fit.parameters, fit.machine.frames, fit.measurements, None, *known, together=fit.together
         )
-        variances = fit.variances
-        plain = weights.sigmas_of(problem, variances)
-        weighted = weights.sigmas_of(problem, variances, fit.residuals)
+        plain = weights.sigmas_of(problem, fit.variances)
+        weighted = weights.sigmas_of(problem, fit.variances, fit.residuals)
         w = tuple((a[:, 0] / b[:, 0]) ** 2 for a, b in zip(plain, weighted, strict=True))
         squares = [
             float(np.sum(own[:, None] * problem.whitened(i, slice(None), (r / sigma)[:, :, None])[:, :, 0] ** 2))

@@ -11,14 +11,14 @@ the arm does. It is found as that of every such probe, from a cone touched in ma
 for the nominal and the calibrated arm: see :func:`calib.positioner.pivot.pivot`. SI throughout.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
-from calib.assessment.gain import ONE_POSE
 from calib.assessment.spheres import Sphere, least_squares_sphere, smallest_enclosing_sphere
+from calib.assessment.validation import ONE_POSE
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.brief import brief
@@ -52,80 +52,14 @@ class PerformanceFigure:
     value: float
 
 
-@dataclass(frozen=True, slots=True)
-class Articulation:
-    """Single-point articulation performance at one cone, from ``n`` touches, in m."""
-
-    place: str
-    n: int
-    largest: float
-    two_s: float
-
-    @property
-    def figures(self) -> tuple[PerformanceFigure, ...]:
-        """Both figures."""
-        return tuple(
-            PerformanceFigure("single-point articulation", self.place, self.n, name, value)
-            for name, value in (("largest", self.largest), ("2s", self.two_s))
-        )
+Figures = tuple[PerformanceFigure, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Volumetric:
-    """Volumetric length performance over ``n`` lengths, in m."""
-
-    n: int
-    largest: float
-    range: float
-    two_s: float
-
-    @property
-    def figures(self) -> tuple[PerformanceFigure, ...]:
-        """All three figures."""
-        return tuple(
-            PerformanceFigure("volumetric length", "all", self.n, name, value)
-            for name, value in (("largest", self.largest), ("range", self.range), ("2s", self.two_s))
-        )
+def _figures(test: str, place: str, n: int, values: Mapping[str, float]) -> Figures:
+    return tuple(PerformanceFigure(test, place, n, name, float(value)) for name, value in values.items())
 
 
-@dataclass(frozen=True, slots=True)
-class Probing:
-    """Probing size and form error of one sphere, from ``n`` touches, in m."""
-
-    place: str
-    n: int
-    size: float
-    form: float
-
-    @property
-    def figures(self) -> tuple[PerformanceFigure, ...]:
-        """Both figures, named by how many touches were made."""
-        return tuple(
-            PerformanceFigure("probing", self.place, self.n, f"{name}.Sph.1x{self.n}", value)
-            for name, value in (("PSize", self.size), ("PForm", self.form))
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Location:
-    """Articulated location error of one sphere in ``n`` articulations of ``touches`` touches each, in m."""
-
-    place: str
-    n: int
-    touches: int
-    diameter: float
-
-    @property
-    def figures(self) -> tuple[PerformanceFigure, ...]:
-        """The figure, named by touches and articulations."""
-        name = f"LDia.{self.n}x{self.touches}"
-        return (PerformanceFigure("articulated location", self.place, self.n, name, self.diameter),)
-
-
-Result = Articulation | Volumetric | Probing | Location
-
-
-def single_point_articulation(points: Array, place: str = "cone") -> Articulation:
+def single_point_articulation(points: Array, place: str = "cone") -> Figures:
     """Return the single-point articulation performance of points (N, 3), N >= 2, after the method of ASME B89.4.22.
 
     One cone, touched with the arm in articulations as different as can be. With d_n = |x_n - mean(x)|:
@@ -141,10 +75,11 @@ def single_point_articulation(points: Array, place: str = "cone") -> Articulatio
         raise MeasurementError(f"cone {place!r}: has one touch; the test takes two or more.")
     squares = np.sum((points - points.mean(axis=0)) ** 2, axis=1)
     two_s = 2.0 * np.sqrt(squares.sum() / (len(points) - 1))
-    return Articulation(place, len(points), float(np.sqrt(squares.max())), float(two_s))
+    values = {"largest": np.sqrt(squares.max()), "2s": two_s}
+    return _figures("single-point articulation", place, len(points), values)
 
 
-def volumetric_lengths(measured: Array, known: Array) -> Volumetric:
+def volumetric_lengths(measured: Array, known: Array) -> Figures:
     """Return the volumetric performance of measured lengths (N,) in m, after the method of ASME B89.4.22.
 
     With D_n = measured - known:
@@ -156,10 +91,11 @@ def volumetric_lengths(measured: Array, known: Array) -> Volumetric:
     """
     D = measured - known
     two_s = 2.0 * np.sqrt(np.mean(D**2))
-    return Volumetric(len(D), float(D[np.argmax(np.abs(D))]), float(np.ptp(D)), float(two_s))
+    values = {"largest": D[np.argmax(np.abs(D))], "range": np.ptp(D), "2s": two_s}
+    return _figures("volumetric length", "all", len(D), values)
 
 
-def probing(points: Array, diameter: float, ball: float, place: str = "sphere") -> Probing:
+def probing(points: Array, diameter: float, ball: float, place: str = "sphere") -> Figures:
     """Return the probing errors of ball centres (N, 3) that touch a sphere, after the method of ISO 10360-12.
 
     With the Gaussian associated sphere (:func:`calib.assessment.spheres.least_squares_sphere`) of diameter D:
@@ -173,11 +109,12 @@ def probing(points: Array, diameter: float, ball: float, place: str = "sphere") 
     Raises MeasurementError when the points do not determine a sphere.
     """
     sphere = _sphere(points, place)
-    distances = sphere.distances(points)
-    return Probing(place, len(points), 2.0 * sphere.radius - ball - diameter, float(np.ptp(distances)))
+    sizes = {"PSize": 2.0 * sphere.radius - ball - diameter, "PForm": np.ptp(sphere.distances(points))}
+    n = len(points)
+    return _figures("probing", place, n, {f"{name}.Sph.1x{n}": value for name, value in sizes.items()})
 
 
-def articulated_location(points: Sequence[Array], place: str = "sphere") -> Location:
+def articulated_location(points: Sequence[Array], place: str = "sphere") -> Figures:
     """Return the articulated location error of one sphere, after the method of ISO 10360-12.
 
     ``points``: ball centres (N, 3) in m, one array for each articulation. In every one the sphere's centre is found by
@@ -189,7 +126,8 @@ def articulated_location(points: Sequence[Array], place: str = "sphere") -> Loca
     """
     centres = np.stack([_sphere(touched, place).centre for touched in points])
     diameter = 2.0 * smallest_enclosing_sphere(centres).radius
-    return Location(place, len(points), max(map(len, points)), diameter)
+    n, touches = len(points), max(map(len, points))
+    return _figures("articulated location", place, n, {f"LDia.{n}x{touches}": diameter})
 
 
 def _sphere(points: Array, place: str) -> Sphere:
@@ -204,17 +142,15 @@ def _sphere(points: Array, place: str) -> Sphere:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Performance:
-    """What the tests say of one arm. ``probe`` (3,): the ball's centre on the tip link, in m, as it was found."""
+    """What the tests say of one arm: its ``figures``, in the order of the tests.
+
+    ``probe`` (3,): the ball's centre on the tip link, in m, as it was found.
+    """
 
     __repr__ = brief
 
     probe: Array
-    results: tuple[Result, ...]
-
-    @property
-    def figures(self) -> tuple[PerformanceFigure, ...]:
-        """All figures, in the order of the tests."""
-        return tuple(figure for result in self.results for figure in result.figures)
+    figures: Figures
 
     def records(self) -> list[dict[str, Any]]:
         """Return one plain record for every figure."""
@@ -261,11 +197,11 @@ def performance(tips: Tips, tests: Sequence[Touches], probe: Touches | None, gue
         # The same name in two tables is not the same cone.
         names = [f"{i} {name}" for i, cone in enumerate(cones) for name in cone.words["target"]]
         point = _probe(frames, names, guess, ", ".join(cone.where for cone in cones))
-    results: list[Result] = []
+    found: list[PerformanceFigure] = []
     for test in tests:
         frames = _placed(tips, test)
-        results += _results(test, frames[:, :3, :3] @ point + frames[:, :3, 3])
-    return Performance(read_only(point), tuple(results))
+        found += _figures_of(test, frames[:, :3, :3] @ point + frames[:, :3, 3])
+    return Performance(read_only(point), tuple(found))
 
 
 def _probe(tips: Array, cones: Sequence[str], guess: Array, where: str) -> Array:
@@ -280,7 +216,22 @@ def _probe(tips: Array, cones: Sequence[str], guess: Array, where: str) -> Array
     return found.tool_point
 
 
-def _articulated(test: Touches, points: Array, rows: IntArray, place: str) -> Articulation:
+def _figures_of(test: Touches, points: Array) -> Figures:
+    try:
+        if test.kind == "length":
+            return _lengths(test, points)
+        places = rows_by_word(test.words["target"]).items()
+        return tuple(figure for place, rows in places for figure in _at_place(test, points, rows, place))
+    except MeasurementError as e:
+        raise MeasurementError(f"{test.where}: {e}") from e
+
+
+def _at_place(test: Touches, points: Array, rows: IntArray, place: str) -> Figures:
+    if test.kind == "sphere":
+        return probing(points[rows], _only(test, "diameter", rows), _only(test, "ball", rows), place)
+    if test.kind == "articulations":
+        each = rows_by_word([test.words["group"][n] for n in rows]).values()
+        return articulated_location([points[rows[own]] for own in each], place)
     if len(rows) > 1 and float(np.ptp(test.readings[rows], axis=0).max()) <= ONE_POSE:
         raise MeasurementError(
             f"cone {place!r}: all {len(rows)} touches are in one pose; the test takes articulations as different as "
@@ -289,32 +240,7 @@ def _articulated(test: Touches, points: Array, rows: IntArray, place: str) -> Ar
     return single_point_articulation(points[rows], place)
 
 
-def _results(test: Touches, points: Array) -> list[Result]:
-    places = rows_by_word(test.words["target"])
-    try:
-        match test.kind:
-            case "cone":
-                return [_articulated(test, points, rows, place) for place, rows in places.items()]
-            case "length":
-                return [_lengths(test, points)]
-            case "sphere":
-                return [
-                    probing(points[rows], _only(test, "diameter", rows), _only(test, "ball", rows), place)
-                    for place, rows in places.items()
-                ]
-            case "articulations":
-                group = test.words["group"]
-                return [
-                    articulated_location(
-                        [points[rows[own]] for own in rows_by_word([group[n] for n in rows]).values()], place
-                    )
-                    for place, rows in places.items()
-                ]
-    except MeasurementError as e:
-        raise MeasurementError(f"{test.where}: {e}") from e
-
-
-def _lengths(test: Touches, points: Array) -> Volumetric:
+def _lengths(test: Touches, points: Array) -> Figures:
     measured, known = [], []
     for pair, rows in rows_by_word(test.words["pair"]).items():
         ends = rows_by_word([test.words["target"][n] for n in rows])

@@ -152,7 +152,7 @@ def planned(
         _forecast(by_error, floor, n, found if n == count else design.choose(judged, n, order=order), seed)
         for n in counts
     )
-    random = [_indices(judged, some) for some in _random_sets(len(candidates), count, _RANDOM_DESIGNS, seed)]
+    random = [_indices(judged, some) for some in design.random_sets(judged, count, _RANDOM_DESIGNS, seed)]
     return Plan(
         read_only(candidates[list(_near_each_other(candidates, found.chosen))]),
         _near_each_other(candidates, found.chosen),
@@ -180,14 +180,9 @@ def _counts(count: int, most: int, least: int) -> list[int]:
 
 
 def _forecast(by_error: Space, floor: float, n: int, found: Design, seed: int) -> Forecast:
-    random = [design.value_of(by_error, some) for some in _random_sets(len(by_error.A), n, _RANDOM_DESIGNS, seed)]
+    random = design.random_values(by_error, n, _RANDOM_DESIGNS, seed)
     values = design.value_of(by_error, found.chosen), float(np.median(random))
     return Forecast(n, *(_root(value - floor) for value in values))
-
-
-def _random_sets(of: int, n: int, sets: int, seed: int) -> list[tuple[int, ...]]:
-    rng = np.random.default_rng(seed)
-    return [tuple(map(int, rng.permutation(of)[:n])) for _ in range(sets)]
 
 
 def _enough(s: Space, floor: float, target: float) -> int | None:

@@ -20,7 +20,8 @@ import numpy.typing as npt
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
-from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.errors import JobError
+from calib.foundations.ranges import finite
 from calib.identification import identifiability
 from calib.identification.arrow import Arrow
 from calib.identification.error_model import ErrorModel
@@ -218,12 +219,8 @@ class _Poses(NamedTuple):
 def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[_Poses, Array]:
     """Return the poses, and the nominal robot's parameter values (p,)."""
     names = tuple(reading.name for reading in model.robot.readings)
-    q = np.asarray(readings, dtype=np.float64)
-    if q.ndim != 2 or q.shape[1] != len(names) or not len(q) or not np.all(np.isfinite(q)):
-        raise MeasurementError(
-            f"readings of shape {q.shape}: needed are finite numbers (N, {len(names)}), a column for each of "
-            f"{', '.join(names)}."
-        )
+    needed = f"needed are finite numbers (N, {len(names)}), a column for each of {', '.join(names)}."
+    q = finite(readings, (None, len(names)), f"readings of shape {np.shape(readings)}: {needed}")
     tools = ("tool",)
     parameters = model.parameters(tools)
     if not parameters:

@@ -12,6 +12,7 @@ size take the smallest whose held-out error is within one standard error of the 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -26,14 +27,14 @@ from calib.foundations.choices import FOLDS
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
-from calib.identification.identify import identify, residuals_of
+from calib.identification.identify import identify, identify_near, residuals_of
 from calib.identification.losses import Loss
 from calib.measurement.kinds import QUANTITIES, Kind
 from calib.measurement.measurements import Measurements
 
 # Readings (rad or m) that agree to within this are of one pose, visited again: servos come back to 0.1 mrad, and
 # different poses of a calibration are a tenth of a radian apart.
-_ONE_POSE = 1e-3
+ONE_POSE = 1e-3
 # Stretches of a stream, in s, and farther than any pose in units of one.
 _STRETCH, _FAR = 5.0, 1e9
 
@@ -174,14 +175,14 @@ def _poses(data: Measurements, number: int) -> Array:
 
     Of a stream its stretches, far from all poses and from those of another ``number``.
     """
-    both = np.round(_both_ends(data) / _ONE_POSE)
+    both = np.round(both_ends(data) / ONE_POSE)
     if data.stream is not None:
         both[:, 1:] = _FAR * (1.0 + number)
         both[:, 0] = 2.0 * np.floor(data.stream.since / _STRETCH)
     return np.asarray(both)
 
 
-def _both_ends(data: Measurements) -> Array:
+def both_ends(data: Measurements) -> Array:
     """Return the readings (N, 2 k) at both ends of every row, where it has one that twice."""
     return np.hstack([data.ends[0].readings, data.ends[-1].readings])
 
@@ -215,8 +216,8 @@ def neighbourhoods(measurements: Sequence[Measurements], group: IntArray, count:
     Groups whose poses are near to each other are in one (k-means). Where poses lie in three places or more with nothing
     between them, such as small cubes, no place is divided: its halves have much the same errors.
     """
-    readings = np.concatenate([_both_ends(data) for data in measurements])
-    cells = _ONE_POSE * np.round(readings / _ONE_POSE)
+    readings = np.concatenate([both_ends(data) for data in measurements])
+    cells = ONE_POSE * np.round(readings / ONE_POSE)
     sizes = np.bincount(group)
     centres = np.column_stack([np.bincount(group, weights=column) for column in cells.T]) / sizes[:, None]
     # Sums of rows in another order differ by rounding, and no draw must depend on that.
@@ -238,7 +239,7 @@ def poses_between(measurements: Sequence[Measurements], chosen: BoolArray, place
     ``chosen`` (N,): which rows of all sets are looked at, and ``place`` of these, from 0, two places at least. The
     same ones every time, whatever the order of the rows. Loops may not close there.
     """
-    ends = np.concatenate([_both_ends(data) for data in measurements])[chosen]
+    ends = np.concatenate([both_ends(data) for data in measurements])[chosen]
     order = np.lexsort((*ends.T, place))
     ends, place = ends[order], place[order]
     rng = np.random.default_rng(0)
@@ -279,7 +280,7 @@ def some_rows(measurements: Sequence[Measurements], group: IntArray, rows: int) 
     seen = [
         data.value.sum(axis=1) + (0.0 if data.position is None else data.position.sum(axis=1)) for data in measurements
     ]
-    readings = np.concatenate([_both_ends(data) for data in measurements])
+    readings = np.concatenate([both_ends(data) for data in measurements])
     drawn = np.lexsort((np.concatenate(seen), *readings.T))[np.random.default_rng(0).permutation(len(group))]
     by_group = drawn[np.argsort(group[drawn], kind="stable")]
     sizes = np.bincount(group)
@@ -348,58 +349,57 @@ def cross_validate(
     """
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
     group = row_groups(sets)
-
-    def find(rows: ChosenRows) -> Fit:
-        return identify(
-            model.within(rows.sets), rows.sets, model_sigmas=rows.sigmas(model_sigmas), losses=rows.losses(losses)
-        )
-
-    return predict_held_out(find, model, sets, group, folds(group, count))
+    rows = ChosenRows(sets, model_sigmas, losses)
+    return predict_held_out(lambda own: own.fit(model), model, rows, group, folds(group, count))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChosenRows:
-    """Some rows of ``every`` set: ``sets`` without those that have none, and ``which`` of all they are.
+    """Sets to identify from, with ``model_sigmas`` and ``losses`` as :func:`calib.identify` takes them.
 
-    Tools and targets without rows are not among their names, so that nothing is known of them.
+    ``which``: of the sets that they were chosen from, the numbers of those that have rows.
     """
 
-    every: tuple[Measurements, ...]
     sets: tuple[Measurements, ...]
-    which: tuple[int, ...]
+    model_sigmas: Sequence[float | None] | None
+    losses: Sequence[Loss] | None
+    which: tuple[int, ...] = ()
 
-    @staticmethod
-    def of(sets: Sequence[Measurements], chosen: Sequence[BoolArray]) -> "ChosenRows":
-        """Return the rows chosen by a mask (N,) of every set."""
+    def some(self, chosen: Sequence[BoolArray]) -> "ChosenRows":
+        """Return the rows chosen by a mask (N,) of every set.
+
+        Tools and targets without rows are not among their names, so that nothing is known of them.
+        """
         which = tuple(i for i, mask in enumerate(chosen) if mask.any())
-        return ChosenRows(tuple(sets), tuple(sets[i].subset(chosen[i]).with_own_names() for i in which), which)
+        ends = np.cumsum([0, *(len(QUANTITIES[data.kind]) for data in self.sets)])
+        sigmas, losses = self.model_sigmas, self.losses
+        return ChosenRows(
+            tuple(self.sets[i].subset(chosen[i]).with_own_names() for i in which),
+            None if sigmas is None else [sigma for i in which for sigma in sigmas[ends[i] : ends[i + 1]]],
+            None if losses is None else [losses[i] for i in which],
+            which,
+        )
 
-    def losses(self, losses: Sequence[Loss] | None) -> list[Loss] | None:
-        """Return the losses of the sets that have rows, given those of all sets."""
-        return None if losses is None else [losses[i] for i in self.which]
-
-    def sigmas(self, sigmas: Sequence[float | None] | None) -> list[float | None] | None:
-        """Return the model sigmas of the sets that have rows, given those of all components of all sets."""
-        if sigmas is None:
-            return None
-        ends = np.cumsum([0, *(len(QUANTITIES[data.kind]) for data in self.every)])
-        return [sigma for i in self.which for sigma in sigmas[ends[i] : ends[i + 1]]]
+    def fit(self, model: ErrorModel, near: Fit | None = None) -> Fit:
+        """Identify a model from them; ``near``: a fit to more rows of that machine, to begin at."""
+        find = identify if near is None else partial(identify_near, near)
+        return find(model.within(self.sets), self.sets, model_sigmas=self.model_sigmas, losses=self.losses)
 
 
 def predict_held_out(
-    find: Callable[[ChosenRows], Fit], model: ErrorModel, sets: Sequence[Measurements], group: IntArray, fold: IntArray
+    find: Callable[[ChosenRows], Fit], model: ErrorModel, rows: ChosenRows, group: IntArray, fold: IntArray
 ) -> CrossValidation:
     """Predict the rows of every fold by a fit to all others, which ``find`` makes; ``group``, ``fold``: (N,) of rows.
 
     What ``model`` knows of targets holds for rows held out; other targets that a fit does not know are found from
     these. Raises what ``find`` raises, and MeasurementError when a tool or a set-up is in no other fold.
     """
-    own = np.split(fold, np.cumsum([len(data) for data in sets])[:-1])
-    found = tuple(np.empty_like(data.sigma) for data in sets)
+    own = np.split(fold, np.cumsum([len(data) for data in rows.sets])[:-1])
+    found = tuple(np.empty_like(data.sigma) for data in rows.sets)
     for k in range(int(fold.max()) + 1):
-        fit = find(ChosenRows.of(sets, [f != k for f in own]))
+        fit = find(rows.some([f != k for f in own]))
         fit = replace(fit, model=replace(fit.model, targets=model.targets, setups=model.setups))
-        left_out = ChosenRows.of(sets, [f == k for f in own])
+        left_out = rows.some([f == k for f in own])
         for data in left_out.sets:
             if not fit.knows(data):
                 known = (*fit.measurements[0].tools, *fit.measurements[0].setups)
@@ -410,7 +410,7 @@ def predict_held_out(
                 )
         for r, i in zip(residuals_of(fit, left_out.sets, fit.machine), left_out.which, strict=True):
             found[i][own[i] == k] = r
-    return CrossValidation(tuple(data.kind for data in sets), tuple(map(read_only_view, found)), group)
+    return CrossValidation(tuple(data.kind for data in rows.sets), tuple(map(read_only_view, found)), group)
 
 
 def unharmed(figures: Sequence[HeldOut]) -> tuple[int, ...]:

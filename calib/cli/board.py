@@ -30,7 +30,7 @@ def board(
     with loading():
         from calib.foundations.folders import write_folder
         from calib.foundations.ranges import RANGES, parse_within
-        from calib.job.board import board_toml
+        from calib.job.read import board_toml
         from calib.measurement.formats.images import marker_bits
         from calib.measurement.prints import Print
         from calib.presentation.printed_board import drawing, pdf, svg

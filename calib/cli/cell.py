@@ -33,13 +33,11 @@ def cell(
         from calib.compensation.cell import calibrated_cell
         from calib.foundations.errors import JobError
         from calib.foundations.files import refuse_taken, write_new
-        from calib.presentation.cell_scene import cell_scene
+        from calib.presentation.machine_scene import cell_scene
         from calib.presentation.scene import render_scene
     if scene == out:
         raise JobError(f"{out}: cannot be the cell and its scene; choose another name for one of them.")
-    for file in (out, scene):
-        if file is not None:
-            refuse_taken(file)
+    refuse_taken(out, scene)
     found = calibrated_cell(arm, positioner, placed_in, prefix)
     # As in a job: the URDF's own folder, and what is named.
     roots = (arm.parent, *(mesh_root or ()))

@@ -26,8 +26,7 @@ def compare(
         from calib.machine.model_file import load_machine
         from calib.presentation.acceptance_tables import change_sheet, comparison_sentences
         from calib.presentation.console import strong
-    if out is not None:
-        refuse_taken(out)
+    refuse_taken(out)
     with telling.progress(steps=2) as say:
         say("reading both models")
         before, after = (load_machine(folder) for folder in (old, new))

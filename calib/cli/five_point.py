@@ -25,10 +25,9 @@ def five_point(
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.ranges import RANGES, parse_within
         from calib.positioner import five_point_of
+        from calib.presentation.command_tables import axes_sheet
         from calib.presentation.console import warning
-        from calib.presentation.positioner_tables import axes_sheet
-    if out is not None:
-        refuse_taken(out)
+    refuse_taken(out)
     found = five_point_of(points, sigma=parse_within(sigma, RANGES["sigma"], "sigma"))
     if out is not None:
         write_new(out, found.robot().urdf.source)

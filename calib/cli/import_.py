@@ -1,12 +1,14 @@
 """``calib import``: files that are no plain tables, or whose joints and points are apart, as one table."""
 
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calib.cli.application import IN_WORDS, PREPARE, Telling, command
-from calib.cli.images import NO_IMAGES, OfImages, import_images
 from calib.cli.options import argument, option, written
 from calib_start import loading
 
@@ -18,6 +20,27 @@ _IMAGES = "images"
 _FILES = "One file, or joints and points apart: text, records, .xlsx, .npz; a ROS recording; or images FOLDER."
 _STACK = "Put the files one below the other; a column TITLE has their names."
 _ROBOT = "FILE is the maker's calibration of this UR arm: write its URDF. Of images: the arm, and write a job."
+
+
+_READINGS = "Of images: a table of the joints, or of the flange's pose, with the column image."
+
+
+@dataclass(frozen=True, slots=True)
+class OfImages:
+    """What options say of photographs alone."""
+
+    board: Annotated[Path | None, option("--board", "FILE", "Of images: board.toml.")] = None
+    readings: Annotated[Path | None, option("--readings", "FILE", _READINGS)] = None
+    tip: Annotated[str | None, typer.Option("--tip", help="Of images: the link of the flange.")] = None
+    orientation: Annotated[
+        str | None, typer.Option("--orientation", help="Of images: what three angles of the flange mean.")
+    ] = None
+    camera_on: Annotated[
+        str, typer.Option("--camera-on", help="Of images: tip, or floor where the arm carries the board.")
+    ] = "tip"
+
+
+NO_IMAGES = OfImages()
 
 
 @command("import", PREPARE, "calib import joints.csv tracker.txt -o measured.csv")
@@ -54,7 +77,7 @@ def import_(
         raise typer.BadParameter("-o FILE is missing: the table, to be written.")
     refuse_taken(out)
     if str(files[0]) == _IMAGES and len(files) > 1:
-        import_images(files[1:], out, robot, of_images, telling)
+        _images(files[1:], out, robot, of_images, telling)
         return
     if of_images.board is not None or of_images.readings is not None:
         raise typer.BadParameter("--board and --readings are of photographs: calib import images FOLDER ...")
@@ -75,7 +98,7 @@ def _recording(files: list[Path], topic: str | None, out: Path | None, telling: 
     """List the topics of a recording, or write one of them."""
     from calib.foundations.files import refuse_taken, write_new
     from calib.measurement.formats.recordings import read_topic, topics
-    from calib.presentation.recording_tables import topic_sheet
+    from calib.presentation.command_tables import topic_sheet
 
     if len(files) != 1 or (topic is None) != (out is None):
         raise typer.BadParameter("a recording is one file or folder; --topic and -o go together.")
@@ -109,3 +132,47 @@ def _own_urdf(files: list[Path], robot: str, out: Path, telling: Telling) -> Non
     write_new(out, with_ur_kinematics(read_urdf(robot), text, str(files[0])))
     said = f"{out} is {robot} with the axes of {files[0]}."
     telling.tell(lambda: {"file": str(out)}, lambda: [said])
+
+
+def _images(folders: Sequence[Path], out: Path, robot: str | None, said: OfImages, telling: Telling) -> None:
+    """Write the table ``out``, and beside it its contact sheet and a job, none of which may be there."""
+    with loading():
+        from calib.foundations.errors import JobError
+        from calib.foundations.files import refuse_taken, write_new
+        from calib.foundations.words import shown
+        from calib.job.photographs import import_photographs
+        from calib.job.read import read_board
+        from calib.presentation.contact_sheet import Shot, contact_sheet
+        from calib.robot.sources import EXAMPLE
+    if len(folders) != 1 or said.board is None or said.readings is None:
+        raise typer.BadParameter("images takes one folder, --board and --readings.")
+    if said.camera_on not in ("tip", "floor"):
+        raise JobError(f"--camera-on: {shown(said.camera_on)} is not tip or floor.")
+    page, job, urdf = (out.with_name(f"{out.stem}{end}") for end in ("_photographs.html", ".toml", "_flange.urdf"))
+    refuse_taken(page, job, urdf)
+    print_ = read_board(said.board)
+    with telling.progress(0, alike=True) as say:
+        found = import_photographs(
+            folders[0], print_, said.readings, urdf=robot, tip=said.tip, orientation=said.orientation, progress=say
+        )
+    write_new(out, found.table())
+    shots = [
+        Shot(one.name, one.size, one.small, one.found.pixels, one.found.sigma, one.left_out)
+        for one in found.photographs
+    ]
+    write_new(page, contact_sheet(f"Photographs of {folders[0].name}", shots))
+    written = [out, page]
+    model = urdf.name if found.urdf else robot
+    if found.urdf:
+        write_new(urdf, found.urdf)
+        written.append(urdf)
+    if model is not None:
+        if not (found.urdf or model.startswith(EXAMPLE)):
+            model = os.path.relpath(model, out.absolute().parent)
+        named = os.path.relpath(said.board, out.absolute().parent)
+        write_new(job, found.job(model, out.name, named, camera_on=said.camera_on))
+        written.append(job)
+    telling.tell(
+        lambda: {"files": [str(file) for file in written], **found.contents()},
+        lambda: [*found.sentences, f"Written: {', '.join(map(str, written))}."],
+    )

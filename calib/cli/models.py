@@ -30,10 +30,10 @@ def models(
     """
     with loading():
         from calib.assessment.comparison import OWN, TERMS, compare_models, nested_models
-        from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+        from calib.foundations.errors import IdentificationError, JobError, MeasurementError, naming
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.inputs import load
-        from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
+        from calib.presentation.command_tables import comparison_sentences, comparison_sheet
         from calib.presentation.console import warning
     if folds is not None and leave_one_group_out:
         raise JobError("folds: each group is held out by itself; leave out --folds or --leave-one-group-out.")
@@ -46,7 +46,7 @@ def models(
         inputs = load(job, say)
         section = inputs.job.error_model
         choose = {TERMS, OWN} if section.terms == "auto" else {TERMS}
-        try:
+        with naming(job, IdentificationError, JobError, MeasurementError):
             nested = nested_models(inputs.model, inputs.identify)
             found = compare_models(
                 nested,
@@ -57,8 +57,6 @@ def models(
                 losses=inputs.losses,
                 progress=told,
             )
-        except (IdentificationError, JobError, MeasurementError) as e:
-            raise type(e)(f"{job}: {e}") from e
     telling.tell(
         found.contents,
         lambda: [

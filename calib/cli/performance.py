@@ -24,7 +24,7 @@ def performance(
         from calib.assessment.performance import before_and_after
         from calib.machine.model_file import load_machine
         from calib.measurement.touches import read_touches
-        from calib.presentation.performance_tables import performance_sheet
+        from calib.presentation.command_tables import performance_sheet
     with telling.progress(steps=1) as say:
         say("reading the model and the touches")
         model = load_machine(results)

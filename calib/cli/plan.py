@@ -50,7 +50,6 @@ def plan(
         from calib.assessment.candidates import PlannedMeasurement, possible, random_candidates
         from calib.assessment.planning import plan as plan_of
         from calib.cli import plan_inputs as given
-        from calib.cli.plan_photographs import plan_photographs
         from calib.foundations import rigid
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.ranges import RANGES, parse_within
@@ -66,7 +65,7 @@ def plan(
         }
         if said := [name for name, value in of_trackers.items() if value is not None]:
             raise typer.BadParameter(f"{said[0]} is not of photographs; the job says what there is.")
-        plan_photographs(
+        given.plan_photographs(
             arm, out, count, candidates, working, criterion, target, collisions, mesh_root or (), seed, telling
         )
         return
@@ -75,7 +74,7 @@ def plan(
         robot, model, roots, columns = given.arm(arm, tip, observes, tuple(mesh_root or ()))
         frames = Frames(given.base(tracker)[None], rigid.translation(given.point(tool, "tool"))[None])
         right = None if working is None else given.table_readings(working, robot, columns)
-        noise = (given.parsed_length(sigma, "sigma"), given.parsed_angle(sigma_angle, "sigma_angle"))
+        noise = (given.parsed(sigma, "sigma"), given.parsed(sigma_angle, "sigma_angle", "angle"))
         measurement = PlannedMeasurement(
             frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"), right
         )

@@ -9,22 +9,26 @@ import numpy as np
 
 from calib.assessment.candidates import Candidates, Sight
 from calib.assessment.planning import Plan
+from calib.assessment.views import Views, plan_views, view_candidates
 from calib.cli.application import Telling
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.foundations.choices import MOST_POSES, Observed
+from calib.foundations.choices import MOST_POSES, Criterion, Observed
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.files import write_new
 from calib.foundations.ranges import OF_DIMENSION, RANGES, parse_within
 from calib.foundations.units import DISPLAY_OF, Dimension
 from calib.foundations.words import shown
 from calib.identification.error_model import ErrorModel, error_model
+from calib.identification.identify import identify
 from calib.job.columns import columns_alike
+from calib.job.inputs import load
 from calib.job.stated import load_arm
 from calib.measurement.columns import stacked
 from calib.measurement.table import AS_WRITTEN, Columns, read_table
+from calib.presentation.command_tables import enough_sentence, forecast_sheet, index_sheet
 from calib.presentation.console import warning
-from calib.presentation.plan_tables import enough_sentence, forecast_sheet, index_sheet
 from calib.robot.collision import SelfCollision, self_collision
 from calib.robot.conditions import NO_CONDITIONS
 from calib.robot.load import load_robot
@@ -111,9 +115,9 @@ def sight(tracker: str | None, facing: str | None, acceptance: str, nearest: str
     x, y, z = (0.0, 0.0, 1.0) if facing is None else map(float, _three(facing, "facing"))
     return Sight(
         facing=None if facing is None else (x, y, z),
-        acceptance=parsed_angle(acceptance, "acceptance"),
-        nearest=parsed_length(nearest, "nearest"),
-        farthest=float("inf") if farthest is None else parsed_length(farthest, "farthest"),
+        acceptance=parsed(acceptance, "acceptance", "angle"),
+        nearest=parsed(nearest, "nearest"),
+        farthest=float("inf") if farthest is None else parsed(farthest, "farthest"),
     )
 
 
@@ -129,7 +133,7 @@ def table_readings(path: Path, robot: Robot, columns: Columns) -> Array:
 def point(text: str, what: str) -> Array:
     """Return a point (3,) in m of a text like ``50 0 50 mm``."""
     *numbers, unit = text.split() or [""]
-    return np.array([parsed_length(f"{number} {unit}", what) for number in _words(numbers, text, what)])
+    return np.array([parsed(f"{number} {unit}", what) for number in _words(numbers, text, what)])
 
 
 def _three(text: str, what: str) -> list[float]:
@@ -143,14 +147,9 @@ def _words(numbers: list[str], text: str, what: str) -> list[str]:
     return numbers
 
 
-def parsed_length(text: str, what: str) -> float:
-    """Return a length in m."""
-    return parse_within(text, RANGES.get(what, OF_DIMENSION["length"]), what)
-
-
-def parsed_angle(text: str, what: str) -> float:
-    """Return an angle in rad."""
-    return parse_within(text, RANGES.get(what, OF_DIMENSION["angle"]), what)
+def parsed(text: str, what: str, dimension: Dimension = "length") -> float:
+    """Return a quantity in SI units, in the range of its name or of its dimension."""
+    return parse_within(text, RANGES.get(what, OF_DIMENSION[dimension]), what)
 
 
 def tell_plan(
@@ -178,3 +177,43 @@ def tell_plan(
             f"{len(planned.readings)} {names[1]} are in {out}.",
         ],
     )
+
+
+def plan_photographs(
+    job: str,
+    out: Path,
+    count: int,
+    candidates: str,
+    working: Path | None,
+    criterion: Criterion,
+    target: str | None,
+    collisions: bool,
+    mesh_roots: Sequence[Path],
+    seed: int,
+    telling: Telling,
+) -> None:
+    """Write the readings at which to take photographs, as ``calib plan`` writes poses."""
+    if not job.endswith(".toml"):
+        raise JobError(f"{job}: photographs are planned beside those of a job; take a few, and calib import images.")
+    with telling.progress(steps=4) as say:
+        say("reading the job")
+        inputs = load(Path(job))
+        say("finding camera, board and lens")
+        fit = identify(inputs.model, [*inputs.identify, *inputs.validate])
+        views = Views(fit)
+        columns = columns_alike(inputs.job.measurements)
+        right = None if working is None else table_readings(working, fit.robot, columns)
+        touching, notes = collision(fit.robot, (*inputs.mesh_roots, *mesh_roots), wanted=collisions)
+        say("sampling views")
+        found = view_candidates(views, parsed_count(candidates), touching, seed=seed)
+        say(f"choosing {count} of {len(found.readings)} views")
+        planned = plan_views(
+            views,
+            count,
+            candidates=found.readings,
+            criterion=criterion,
+            working=right,
+            target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
+        )
+        write_new(out, pose_table(fit.robot, planned.readings))
+    tell_plan(telling, planned, found, notes, ("views", "photographs to take"), out, target, more=True)

@@ -30,19 +30,18 @@ def sensitivity(
         from calib.assessment.drift import other_machine
         from calib.assessment.sensitivity import group_study
         from calib.assessment.sensitivity import sensitivity as sensitivity_of
-        from calib.foundations.errors import JobError
+        from calib.foundations.errors import JobError, naming
         from calib.foundations.files import refuse_taken, write_new
         from calib.identification.error_model import with_terms
         from calib.job.assumed_errors import read_errors
         from calib.job.calibrate import STEPS_OF_LOADING
         from calib.job.inputs import load
         from calib.machine.model_file import load_machine
+        from calib.presentation.command_tables import group_sheet, sensitivity_sentence, sensitivity_sheet
         from calib.presentation.plots import figure_bytes, sensitivity_figure
-        from calib.presentation.sensitivity_tables import group_sheet, sensitivity_sentence, sensitivity_sheet
         from calib.presentation.tables import null_space_lines
         from calib.results.folder import robot_errors
-    if plot is not None:
-        refuse_taken(plot)
+    refuse_taken(plot)
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         inputs = load(job, say)
         say("differentiating")
@@ -59,10 +58,8 @@ def sensitivity(
         study = None
         if errors is not None:
             given = read_errors(errors, model) if assumed else robot_errors(errors)
-            try:
+            with naming(f"{errors}: is no result of this job", JobError):
                 study = group_study(model, readings, given)
-            except JobError as e:
-                raise JobError(f"{errors}: is no result of this job: {e}") from e
     if plot is not None:
         # matplotlib refuses to load for a window that it does not know, though none is opened, and tells of its cache.
         os.environ.pop("MPLBACKEND", None)

@@ -36,8 +36,7 @@ def uncertainty(
         from calib.machine.uncertainty import rms_by_cause
         from calib.presentation.acceptance_tables import map_csv, map_sheet
         from calib.presentation.sheets import budget_sheet
-    if out is not None:
-        refuse_taken(out)
+    refuse_taken(out)
     with telling.progress(steps=1) as say:
         machine = load_machine(results).at(setup)
         found = uncertainty_map(

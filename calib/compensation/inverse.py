@@ -5,9 +5,9 @@ residual grid shifts the predicted position and changes too slowly to be differe
 which positions alone are asked, take the readings that change least from where they start; 1 mm counts as 1 mrad.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -121,11 +121,7 @@ def limits(readings: Sequence[Reading]) -> tuple[Array, Array]:
 # ---- the machine as the solver sees it
 
 
-class _Calls(Protocol):
-    def __call__(self, readings: Array, /) -> Array: ...
-
-
-def rowwise(calls: _Calls, readings: Array, shape: tuple[int, ...]) -> tuple[Array, list[str]]:
+def rowwise(calls: Callable[[Array], Array], readings: Array, shape: tuple[int, ...]) -> tuple[Array, list[str]]:
     """Return values (N, *shape), and why a row has none: a row whose loop does not close spoils its block alone."""
     values, why = np.full((len(readings), *shape), np.nan), [""] * len(readings)
     rows = np.arange(len(readings))

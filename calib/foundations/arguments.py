@@ -24,6 +24,7 @@ _R = TypeVar("_R")
 
 # By the letter of a numpy type: what of other types may stand for it.
 _STANDS_FOR = {"f": "fiub", "i": "iu", "b": "b"}
+_ELEMENTS = {"f": "numbers", "i": "whole numbers", "b": "bools"}
 _PLAIN = MappingProxyType({str: "a text", bytes: "bytes", float: "a number", int: "a whole number", bool: "a bool"})
 _Test = Callable[[Any], bool]
 _SEQUENCES = (abc.Sequence, abc.Collection, abc.Iterable, list)
@@ -36,7 +37,9 @@ def checked(function: Callable[_P, _R]) -> Callable[_P, _R]:
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         for name, value in signature.bind(*args, **kwargs).arguments.items():
-            _refuse_other(value, signature.parameters[name].annotation, f"{function.__name__}: {name}")
+            hint = signature.parameters[name].annotation
+            if not _test(hint)(value):
+                raise _other(value, hint, f"{function.__name__}: {name}")
         return function(*args, **kwargs)
 
     return call
@@ -51,6 +54,27 @@ def refuse_fields(made: Any) -> None:
             raise _other(value, hint, f"{cls.__name__}: {name}")
 
 
+def own_fields(made: Any) -> None:
+    """Take copies of the arrays and mappings that a dataclass was given, arrays read-only.
+
+    Whoever made it may change theirs later, and what was asked of it before and after would not agree.
+    """
+    cls: Any = type(made)
+    for name, _, _ in _fields(cls):
+        value = getattr(made, name)
+        if (own := _owned(value)) is not value:
+            object.__setattr__(made, name, own)
+
+
+def _owned(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _owned(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray) and value.flags.writeable:
+        value = value.copy()
+        value.flags.writeable = False
+    return value
+
+
 @functools.cache
 def _fields(of: Any) -> tuple[tuple[str, Any, _Test], ...]:
     """Return the fields of a dataclass by name, with their hints and what tells whether a value fits."""
@@ -58,20 +82,11 @@ def _fields(of: Any) -> tuple[tuple[str, Any, _Test], ...]:
     return tuple((field.name, hints[field.name], _test(hints[field.name])) for field in fields(of))
 
 
-def _refuse_other(value: object, hint: Any, where: str) -> None:
-    if not _fits(value, hint):
-        raise _other(value, hint, where)
-
-
 def _other(value: object, hint: Any, where: str) -> JobError:
     return JobError(f"{where} is {_told(value)}; needs {_joined(_needed(hint))}.")
 
 
 # ---- does it fit?
-
-
-def _fits(value: Any, hint: Any) -> bool:
-    return _test(hint)(value)
 
 
 @functools.cache
@@ -192,7 +207,7 @@ def _told(value: object) -> str:
             return text
     name = type(value).__name__
     if isinstance(value, np.ndarray):
-        return f"an array of {value.dtype}"
+        return f"{'a masked array' if _is_masked(value) else 'an array'} of {value.dtype}"
     if isinstance(value, list | tuple):
         return shortened(f"a {name} of {', '.join(dict.fromkeys(type(one).__name__ for one in value))}")
     return f"{_article(name)} {name}"
@@ -208,7 +223,7 @@ def _needed(hint: Any) -> list[str]:
     if origin is Literal:
         return [f'"{one}"' if isinstance(one, str) else repr(one) for one in inner]
     if origin is np.ndarray:
-        return [f"an array of {_plural(_element(inner))}"]
+        return [f"an array of {_ELEMENTS[np.dtype(get_args(inner[1])[0]).kind]}"]
     if origin is abc.Mapping:
         return [f"a mapping of {_plural(_needed(inner[0])[0])} to {_joined(map(_plural, _needed(inner[1])))}"]
     if origin is tuple and inner[1:] != (Ellipsis,):
@@ -223,11 +238,6 @@ def _needed(hint: Any) -> list[str]:
         return ["anything"]
     name = getattr(hint, "__name__", str(hint))
     return [_PLAIN.get(hint, f"{_article(name)} {name}")]
-
-
-def _element(inner: tuple[Any, ...]) -> str:
-    kind = np.dtype(get_args(inner[1])[0]).kind
-    return {"f": "a number", "i": "a whole number", "b": "a bool"}[kind]
 
 
 def _article(name: str) -> str:

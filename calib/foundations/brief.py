@@ -27,9 +27,6 @@ def _shown(value: object) -> str:
         return f"{len(value)} bytes"
     if isinstance(value, str):
         return repr(value if len(value) <= _ONE else value[:_ONE] + "...")
-    if is_dataclass(value):
-        text = repr(value)
-        return text if len(text) <= _ONE else f"<{type(value).__name__}>"
     if isinstance(value, Mapping):
         return _several(list(map(str, value)), "{", "}")
     if isinstance(value, tuple | list):

@@ -39,6 +39,13 @@ def density(square: float, numbers: int) -> float:
     return float(np.exp((half - 1.0) * np.log(square) - 0.5 * square - gammaln(half) - half * np.log(2.0)))
 
 
+def shown_noise(residuals: Array, spare: int, stated: float | None) -> float:
+    """Return the standard deviation of a number: as stated, or as residuals show it with some numbers to ``spare``."""
+    if stated is not None:
+        return stated
+    return float(np.sqrt(np.sum(residuals**2) / spare)) if spare > 0 else float("nan")
+
+
 def autocorrelations(parts: Sequence[Array], most: int) -> Iterator[float]:
     """Yield how rows of parts (n, d), of mean zero, go with those one, two, ... rows before, below ``most`` rows.
 

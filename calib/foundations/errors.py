@@ -66,6 +66,15 @@ def naming_rows(where: str, lines: "Sequence[int] | npt.NDArray[np.intp]") -> It
         raise PoseError(e.row, e.reason, e.rows, f"{where}:{lines[e.row]}") from e
 
 
+@contextmanager
+def naming(where: object, *kinds: type[CalibError]) -> Iterator[None]:
+    """Let errors of some kinds in the block begin with ``where``: a file, or a file and a key of it."""
+    try:
+        yield
+    except kinds as e:
+        raise type(e)(f"{where}: {e}") from e
+
+
 class MeasurementError(CalibError, ValueError):
     """The measurements cannot be used."""
 

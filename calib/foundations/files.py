@@ -28,7 +28,7 @@ def read_bytes(path: Path, error: type[CalibError], largest: int = LARGEST_INPUT
     Links are followed: a user may name a file as he likes. What is not regular (a folder, a device, a pipe) is not
     opened; nor waited for, if it took the file's place since.
     """
-    with _sentences(path, error):
+    with sentences(path, error):
         if not path.exists():
             raise error(f"{path}: there is no such file.")
         if not path.is_file():
@@ -42,7 +42,7 @@ def read_inside(folder: Path, name: str, error: type[CalibError], largest: int =
     For what is handed on to others, whom the link's own permissions would not let read.
     """
     path = folder / name
-    with _sentences(path, error), opened_folder(folder) as handle:
+    with sentences(path, error), opened_folder(folder) as handle:
         found = lstat(name, handle)
         if found is None:
             raise error(f"{path}: there is no such file.")
@@ -70,13 +70,14 @@ def _contents(handle: int, path: Path, error: type[CalibError], largest: int) ->
 
 
 @contextlib.contextmanager
-def _sentences(path: Path, error: type[CalibError]) -> Iterator[None]:
+def sentences(path: object, error: type[CalibError], what: str = "cannot be read") -> Iterator[None]:
+    """Let an OSError of the block be an ``error`` that says of a file ``what`` cannot be done, and why."""
     try:
         yield
     except CalibError:
         raise
     except OSError as e:
-        raise error(f"{path}: cannot be read ({e.strerror}).") from e
+        raise error(f"{path}: {what} ({e.strerror}).") from e
     except ValueError as e:  # such as a zero byte in the name
         raise error(f"{str(path)!r}: is not the name of a file.") from e
 
@@ -132,11 +133,15 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def refuse_taken(path: Path) -> None:
-    """Raise OutputError when something, be it a link that leads nowhere, has the name of a file that is to be new."""
-    # What hides from this user, or has no name that a file can have, the attempt to write it finds out.
-    if os.path.lexists(path):
-        raise OutputError(f"{path}: already exists; choose another name.")
+def refuse_taken(*paths: Path | None) -> None:
+    """Raise OutputError when something, be it a link that leads nowhere, has the name of a file that is to be new.
+
+    None stands for a file that is not asked for.
+    """
+    for path in paths:
+        # What hides from this user, or has no name that a file can have, the attempt to write it finds out.
+        if path is not None and os.path.lexists(path):
+            raise OutputError(f"{path}: already exists; choose another name.")
 
 
 def stamp(path: Path) -> tuple[int, int, int] | None:
@@ -166,22 +171,15 @@ def write_atomically(path: Path, data: bytes | str, *, new: bool = False) -> Non
     (a link, a folder, a device); what is there is then untouched.
     """
     data = encoded(data) if isinstance(data, str) else data
-    try:
-        with opened_folder(path.parent) as folder:
-            if new:
-                refuse_taken(path)
-            found = lstat(path.name, folder)
-            if found is not None and not stat.S_ISREG(found.st_mode):
-                kind = "a link" if stat.S_ISLNK(found.st_mode) else "not a regular file"
-                raise OutputError(f"{path}: is {kind}, and is not replaced; choose another name.")
-            _appear(path, data, folder, new=new)
-            os.fsync(folder)
-    except OSError as e:
-        if isinstance(e, CalibError):
-            raise
-        raise OutputError(f"{path}: cannot be written ({e.strerror}).") from e
-    except ValueError as e:  # such as a zero byte in the name
-        raise OutputError(f"{str(path)!r}: is not the name of a file.") from e
+    with sentences(path, OutputError, "cannot be written"), opened_folder(path.parent) as folder:
+        if new:
+            refuse_taken(path)
+        found = lstat(path.name, folder)
+        if found is not None and not stat.S_ISREG(found.st_mode):
+            kind = "a link" if stat.S_ISLNK(found.st_mode) else "not a regular file"
+            raise OutputError(f"{path}: is {kind}, and is not replaced; choose another name.")
+        _appear(path, data, folder, new=new)
+        os.fsync(folder)
 
 
 def _appear(path: Path, data: bytes, folder: int, *, new: bool) -> None:

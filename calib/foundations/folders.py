@@ -33,6 +33,8 @@ _LARGEST_LIST = 100_000
 # How long to wait for another run to read or write beside a folder, in s: it takes moments.
 _PATIENCE = 30.0
 _LOOK = 0.02
+# What paths may raise: also for links in a circle, and zero bytes in names.
+_ANY = (OSError, RuntimeError, ValueError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,7 @@ def write_folder(path: Path, files: Mapping[str, bytes | str], older: Collection
     ``older`` none may be there. Raises OutputError when the disk is full, the folder read-only, or another run keeps it
     for too long.
     """
-    try:
+    with _telling(path, "the results cannot be written", _ANY):
         if os.path.lexists(path) and (path.is_symlink() or not path.is_dir()):
             raise OutputError(f"{path}: is a file or a link, and the results need a folder.")
         if not older and path.is_dir() and any(path.iterdir()):
@@ -79,10 +81,6 @@ def write_folder(path: Path, files: Mapping[str, bytes | str], older: Collection
             refuse_taken(path)
         with _made(path.parent), opened_folder(path.parent) as above:
             _write(_Place(path, above), files, older)
-    except CalibError:
-        raise
-    except (OSError, RuntimeError, ValueError) as e:
-        raise OutputError(f"{path}: the results cannot be written ({_why(e)}).") from e
 
 
 @contextlib.contextmanager
@@ -91,13 +89,8 @@ def made_folder(path: Path) -> Iterator[None]:
 
     Raises OutputError when they cannot be made, or something in the block could not be written.
     """
-    try:
-        with _made(path):
-            yield
-    except OSError as e:
-        if isinstance(e, CalibError):
-            raise
-        raise OutputError(f"{path}: cannot be made or written ({_why(e)}).") from e
+    with _telling(path, "cannot be made or written"), _made(path):
+        yield
 
 
 @contextlib.contextmanager
@@ -119,7 +112,7 @@ def real_folder(path: Path) -> Path:
     Raises OutputError where no way leads there: links in a circle, or ``..`` behind what is no folder, which only a
     program that reads the path as a text would take for the folder above.
     """
-    try:
+    with _telling(path, "cannot hold the results", _ANY):
         parts = path.parts
         for before in (Path(*parts[:k]) for k, part in enumerate(parts) if part == ".." and k):
             if not before.is_dir():
@@ -127,16 +120,11 @@ def real_folder(path: Path) -> Path:
         if path.exists() and not (path.is_dir() or path.is_file()):
             raise OutputError(f"{path}: is a pipe or a device, and the results need a folder.")
         return path.resolve()
-    except OutputError:
-        raise
-    except (OSError, RuntimeError, ValueError) as e:
-        reason = "a symbolic link leads in a circle" if isinstance(e, RuntimeError) else _why(e)
-        raise OutputError(f"{path}: cannot hold the results ({reason}).") from e
 
 
 def refuse_unwritable(path: Path) -> None:
     """Raise OutputError for a folder that cannot be made or written; what only the attempt shows, the attempt tells."""
-    try:
+    with _telling(path, "cannot hold the results"):
         parent = next(folder for folder in path.absolute().parents if folder.exists())
         if not parent.is_dir():
             raise OutputError(f"{path}: cannot be made, as {parent} is a file.")
@@ -145,10 +133,6 @@ def refuse_unwritable(path: Path) -> None:
         for folder in (parent, path):
             if folder.exists() and not os.access(folder, os.W_OK | os.X_OK):
                 raise OutputError(f"{path}: cannot be written, as {folder} is read-only.")
-    except OutputError:
-        raise
-    except OSError as e:
-        raise OutputError(f"{path}: cannot hold the results ({_why(e)}).") from e
 
 
 @contextlib.contextmanager
@@ -315,14 +299,9 @@ def _list_in(folder: int) -> frozenset[str] | None:
 
 def _recover(place: _Place) -> None:
     """Put right what a killed run left: where only the old folder is there, aside, it takes its place again."""
-    try:
-        with _locked(place, fcntl.LOCK_EX):
-            for work in _works(place):
-                _put_back(place, work)
-    except CalibError:
-        raise
-    except OSError as e:
-        raise OutputError(f"{place.path}: what an interrupted run left cannot be repaired ({_why(e)}).") from e
+    with _telling(place.path, "what an interrupted run left cannot be repaired"), _locked(place, fcntl.LOCK_EX):
+        for work in _works(place):
+            _put_back(place, work)
 
 
 def _clean(place: _Place) -> None:
@@ -364,6 +343,15 @@ def _had(handle: int, kind: int) -> bool | None:
     return True
 
 
-def _why(e: Exception) -> str:
-    reason = e.strerror if isinstance(e, OSError) else None
-    return reason or str(e)
+@contextlib.contextmanager
+def _telling(path: Path, what: str, kinds: tuple[type[Exception], ...] = (OSError,)) -> Iterator[None]:
+    """Say what errors of some kinds in the block mean for a path; what is a sentence already stays one."""
+    try:
+        yield
+    except CalibError:
+        raise
+    except kinds as e:
+        reason = e.strerror if isinstance(e, OSError) else None
+        if isinstance(e, RuntimeError):
+            reason = "a symbolic link leads in a circle"
+        raise OutputError(f"{path}: {what} ({reason or e}).") from e

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.foundations.errors import CalibError, JobError
+from calib.foundations.errors import CalibError, JobError, MeasurementError
 from calib.foundations.units import UNITS, Dimension, parse_quantity
 
 
@@ -166,6 +166,19 @@ def refuse_shape(values: Array, shape: tuple[int | None, ...], where: str, error
         raise error(f"{where} has the shape {values.shape}; needed is ({needed}).")
     if not np.isfinite(values).all():
         raise error(f"{where} has numbers that are not finite.")
+
+
+def finite(
+    values: npt.ArrayLike, shape: tuple[int | None, ...], sentence: str, error: type[CalibError] = MeasurementError
+) -> Array:
+    """Return numbers of a shape as an array, None being any number from 1, or raise ``error`` with the sentence."""
+    found = np.asarray(values, dtype=np.float64)
+    fits = found.ndim == len(shape) and all(
+        there == wanted or (wanted is None and there > 0) for there, wanted in zip(found.shape, shape, strict=True)
+    )
+    if not (fits and np.isfinite(found).all()):
+        raise error(sentence)
+    return found
 
 
 def refuse_sigma(value: float | None, where: str) -> None:

@@ -124,7 +124,7 @@ def unidentifiable(null_basis: Array) -> BoolArray:
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Singular values of ``rows``, found when they are asked for: of targets by themselves, and of all others.
+    """What ``rows`` determine and what they do not, found when asked for: of targets by themselves, and of others.
 
     ``of_targets``: as in :func:`undetermined`. The others count with targets where they follow best, whichever of them
     ``rows`` have eliminated.
@@ -148,6 +148,11 @@ class Spectrum:
         others = np.linalg.svd(self._without_targets(RANK_TOLERANCE * largest), compute_uv=False)
         found = np.sort(np.concatenate([*alone, others]))[::-1]
         return read_only(np.append(found, np.zeros(self.rows.split.size - len(found))))
+
+    @cached_property
+    def undetermined(self) -> tuple[Array, BoolArray]:
+        """What :func:`undetermined` finds: a basis (p, k), and what (p,) targets' own rows leave open."""
+        return undetermined(self.rows, self.of_targets)
 
     def _without_targets(self, least: float) -> Array:
         """Return rows (q, c) about all that is no target's, with what is seen of targets at ``least`` eliminated."""
@@ -176,21 +181,6 @@ def _beyond(rows: Array, first: int, least: float) -> Array:
     """Return what rows (q, n) say of all but the first columns, wherever these are."""
     U, s, _ = svd(rows[:, :first], full_matrices=True)
     return np.asarray(U[:, np.count_nonzero(s > least) :].T @ rows[:, first:])
-
-
-@dataclass(frozen=True, eq=False)
-class Undetermined:
-    """What :func:`undetermined` finds of ``rows``, when it is asked for."""
-
-    __repr__ = brief
-
-    rows: Arrow
-    of_targets: Split
-
-    @cached_property
-    def found(self) -> tuple[Array, BoolArray]:
-        """The basis (p, k), and what (p,) targets' own rows leave open."""
-        return undetermined(self.rows, self.of_targets)
 
 
 def undetermined(rows: Arrow, of_targets: Split) -> tuple[Array, BoolArray]:

@@ -132,7 +132,9 @@ def _signatures(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Findin
     found: list[_Trial] = []
     for scope in (every, *((i,) for i in every if len(every) > 1)):
         best, *others = _trials(model, sets, scope)
-        if missed > _CLEARLY * best.counted and best.miss < _EXPLAINED * reach:
+        # Readings that are made too small explain positions that hardly change: a robot that stands still does so too.
+        still = _still([best.mistake.mend(sets[i]) for i in scope])
+        if missed > _CLEARLY * best.counted and best.miss < min(_EXPLAINED * reach, still):
             return (_explained(model, sets, missed, best, others),)
         found.append(best)
     return (_unexplained(model, sets, missed, min(found, key=_counted)),) if missed > _LARGE * reach else ()
@@ -188,6 +190,12 @@ def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int = _E
         rows = np.concatenate([data / max(miss, _NEGLIGIBLE), priors])
         z = np.clip(z - np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=_NEGLIGIBLE)[0], -limit, limit)
     return least
+
+
+def _still(sets: Sequence[Measurements]) -> float:
+    """Return the rms over the rows, in m, by which a robot that stands still misses the measurements."""
+    y = np.concatenate(list(map(_positions, sets)))
+    return float(np.linalg.norm(y - y.mean(axis=0))) / float(np.sqrt(len(y)))
 
 
 def _relaxed(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Array, float]:

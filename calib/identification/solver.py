@@ -19,7 +19,7 @@ from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import IdentificationError, JobError, PoseError
 from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow, Covariance, Inverse, Reduced, Split
-from calib.identification.identifiability import Directions, Spectrum, Undetermined
+from calib.identification.identifiability import Directions, Spectrum
 from calib.identification.least_squares import LeastSquares
 from calib.identification.parameters import scales
 from calib.identification.system import Evaluation
@@ -57,18 +57,17 @@ class Solution(NamedTuple):
     """A least-squares solution.
 
     ``x`` (p,): values in SI units; ``spread``: their covariance. ``directions``: what the data determine at x, priors
-    left out, and ``spectrum``: how well. ``undetermined``: what neither data nor stated priors determine well enough.
-    ``start``: the data's rows at the start point, whitened with
-    the final noise. ``variances`` and ``redundancies``: of every component. ``step``: the last one, in parameter
-    scales. ``narrowed``: by how much weak priors were narrower than is usual, for the robot at least. ``freed``:
-    whether parameters that have a wider prior for that needed it.
+    left out, and ``spectrum``: how well; ``with_priors``: the same of data and stated priors. ``start``: the data's
+    rows at the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every component.
+    ``step``: the last one, in parameter scales. ``narrowed``: by how much weak priors were narrower than is usual, for
+    the robot at least. ``freed``: whether parameters that have a wider prior for that needed it.
     """
 
     x: Array
     spread: Covariance
     directions: Directions
     spectrum: Spectrum
-    undetermined: Undetermined
+    with_priors: Spectrum
     start: Arrow
     variances: tuple[float, ...]
     redundancies: tuple[float, ...]
@@ -81,12 +80,12 @@ class Solution(NamedTuple):
     @property
     def null_basis(self) -> Array:
         """A basis (p, k), scaled, of what neither data nor stated priors determine well enough."""
-        return self.undetermined.found[0]
+        return self.with_priors.undetermined[0]
 
     @property
     def unidentifiable(self) -> BoolArray:
         """Which parameters (p,) that moves, or are of targets whose own rows are too few."""
-        basis, alone = self.undetermined.found
+        basis, alone = self.with_priors.undetermined
         return identifiability.unidentifiable(basis) | alone
 
     @property
@@ -486,14 +485,15 @@ def _solution(search: _Search, z: Array, evaluation: Evaluation, weighted_by: _N
     """Return the solution z (p,) with what an evaluation near it tells; ``first``: the evaluation at the start."""
     s = scales(search.problem.parameters)
     noise = search.noise(z, evaluation, weighted_by, sought=False)
-    told = _Told.of(search.problem, evaluation.reweighted(noise.factors).rows.whole, search.prior)
+    data, apart = evaluation.reweighted(noise.factors).rows.whole, search.problem.targets_apart
+    beside = search.prior.stated_beside(data)
     factors, _ = weights.factors_of(search.problem, search.beginning().sigmas, noise.sigmas)
     return Solution(
         z * s,
-        told.covariance.scaled(s),
-        told.directions,
-        told.spectrum,
-        told.undetermined,
+        _spread(search.problem, beside).scaled(s),
+        identifiability.directions_of(data.reduced(identifiability.RANK_TOLERANCE)),
+        Spectrum(data, apart),
+        Spectrum(beside, apart),
         first.reweighted(factors).rows.whole,
         noise.variances,
         noise.redundancies,
@@ -552,33 +552,18 @@ def _levenberg_marquardt(search: _Search, sigmas: tuple[Array, ...], z0: Array) 
     return followed.whole(result.x)
 
 
-class _Told(NamedTuple):
-    """What the data tell at the solution, scaled: as a :class:`Solution` has it."""
-
-    directions: Directions
-    spectrum: Spectrum
-    undetermined: Undetermined
-    covariance: Covariance
-
-    @classmethod
-    def of(cls, problem: LeastSquares, data: Arrow, prior: _Prior) -> "_Told":
-        """Tell it of the rows of the data at the solution."""
-        split = data.split
-        beside = prior.stated_beside(data)
-        rows = beside.reduced(identifiability.RANK_TOLERANCE)
-        directions = identifiability.directions_of(rows)
-        common = directions.null_basis(directions.common_rank(identifiability.NUMERICAL_TOLERANCE))
-        # Inner constraints close the null space: full rank by construction.
-        own = [problem.parameters[k] for k in split.common]
-        constraints = identifiability.inner_constraints(common, own)
-        seen = directions.singular_values[: directions.numerical_rank]
-        weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
-        spread = np.linalg.pinv(np.concatenate([rows.rest[:, :-1], weight * constraints]), rcond=_SINGULAR)
-        spread = spread[:, : len(rows.rest)]
-        apart = problem.targets_apart
-        of_data = identifiability.directions_of(data.reduced(identifiability.RANK_TOLERANCE))
-        covariance = Covariance(split, spread @ spread.T, rows.follow, rows.root)
-        return cls(of_data, Spectrum(data, apart), Undetermined(beside, apart), covariance)
+def _spread(problem: LeastSquares, beside: Arrow) -> Covariance:
+    """Return the covariance of the scaled values, by rows with stated priors, the null space closed."""
+    split, rows = beside.split, beside.reduced(identifiability.RANK_TOLERANCE)
+    directions = identifiability.directions_of(rows)
+    common = directions.null_basis(directions.common_rank(identifiability.NUMERICAL_TOLERANCE))
+    # Inner constraints close the null space: full rank by construction.
+    constraints = identifiability.inner_constraints(common, [problem.parameters[k] for k in split.common])
+    seen = directions.singular_values[: directions.numerical_rank]
+    weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
+    spread = np.linalg.pinv(np.concatenate([rows.rest[:, :-1], weight * constraints]), rcond=_SINGULAR)
+    spread = spread[:, : len(rows.rest)]
+    return Covariance(split, spread @ spread.T, rows.follow, rows.root)
 
 
 def _refuse_too_few(problem: LeastSquares, first: Evaluation, prior: _Prior) -> None:

@@ -447,11 +447,6 @@ def _held(carried: Regressor, tools: Array, tool: IntArray, points: Array | None
     return found if points is None else rigid.product(found, rigid.translation(points[rows]))
 
 
-def blocks(problem: Problem, data: Measurements, at: Machine, units: Array) -> Iterator[Block]:
-    """Yield the rows of one set, block by block; derivatives are taken for ``units`` (p,) of every parameter."""
-    yield from Rates(problem, at, units).blocks(data)
-
-
 class _Clocked(NamedTuple):
     """Rates (n, k) of the readings of rows of a stream, and how the controller's time (n, p) follows the parameters."""
 

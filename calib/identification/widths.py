@@ -17,6 +17,7 @@ The sigmas of the noise are found together with the widths, as each decides what
 without a learned prior are integrated out as well, which makes this a restricted likelihood.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,8 @@ _MOST_NOISE = 1e3
 _MOST_STEPS = 300
 _MOST_TURNS = 20
 _SETTLED = 1e-4
+# Where a search ends: SciPy's own.
+_ENOUGH = 1e7 * float(np.finfo(float).eps)
 
 
 class NormalEquations(NamedTuple):
@@ -97,16 +100,21 @@ def likelihood(rows: NormalEquations, widths: Array, factors: Array) -> Likeliho
     return Likelihood(value, 2.0 * (gamma - sums(x[:p] ** 2)), 2.0 * (rows.counts - used), gamma)
 
 
-def likeliest_widths(rows: NormalEquations, start: Array, power: float = 1.0) -> Widths:
-    """Return the widths of the largest likelihood times a ``power`` of widths; ``start`` (g,): those to begin with."""
+def searched(
+    rows: NormalEquations, start: Array, held: Callable[[Array], tuple[float, Array]], ftol: float = _ENOUGH
+) -> tuple[Array, Array]:
+    """Return the likeliest widths (g,), from ``start`` (g,) on, and factors (c,).
+
+    ``held``: what more is known of widths, as a function of their logarithms (g,): what it adds to -2 log likelihood,
+    with its slopes (g,).
+    """
     g = len(start)
     low = np.where(rows.fixed, 1.0, np.clip(rows.least, 1.0 / _MOST_NOISE, 1.0))
     high = np.where(rows.fixed, 1.0, _MOST_NOISE)
 
     def cost(theta: Array) -> tuple[float, Array]:
-        found = likelihood(rows, np.exp(theta[:g]), np.exp(theta[g:]))
-        slopes = np.concatenate([found.by_widths - 2.0 * power, found.by_factors])
-        return found.value - 2.0 * power * float(np.sum(theta[:g])), slopes
+        found, (more, slopes) = likelihood(rows, np.exp(theta[:g]), np.exp(theta[g:])), held(theta[:g])
+        return found.value + more, np.concatenate([found.by_widths + slopes, found.by_factors])
 
     bounds = np.log(np.concatenate([np.tile([[NARROWEST, WIDEST]], (g, 1)), np.column_stack([low, high])]))
     result = minimize(
@@ -115,9 +123,19 @@ def likeliest_widths(rows: NormalEquations, start: Array, power: float = 1.0) ->
         jac=True,
         method="L-BFGS-B",
         bounds=bounds,
-        options={"maxiter": _MOST_STEPS, "ftol": 1e-13, "gtol": 1e-4},
+        options={"maxiter": _MOST_STEPS, "ftol": ftol, "gtol": 1e-4},
     )
-    widths, factors = np.exp(result.x[:g]), np.exp(result.x[g:])
+    return np.exp(result.x[:g]), np.exp(result.x[g:])
+
+
+def likeliest_widths(rows: NormalEquations, start: Array, power: float = 1.0) -> Widths:
+    """Return the widths of the largest likelihood times a ``power`` of widths; ``start`` (g,): those to begin with."""
+    g = len(start)
+
+    def held(logs: Array) -> tuple[float, Array]:
+        return -2.0 * power * float(np.sum(logs)), np.full(g, -2.0 * power)
+
+    widths, factors = searched(rows, start, held, ftol=1e-13)
     found = likelihood(rows, widths, factors)
     # Where there is hardly any noise, rounding in the likelihood ends the search early; its slopes know better.
     for _ in range(_MOST_TURNS):

@@ -85,8 +85,7 @@ def _pivoted(arm: TouchingArm, files: Mapping[str, Path], file: str, folder: Pat
     findings: list[Finding] = []
     if found.noise > _SCATTER * arm.sigma > 0.0:
         findings.append(
-            Finding(
-                "warning",
+            Finding.warning(
                 "pivot-scatters",
                 f"{touches.where}: the touches scatter by {found.noise / MM:.3g} mm per coordinate, and sigma says "
                 f"{arm.sigma / MM:.3g} mm.",

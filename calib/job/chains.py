@@ -1,6 +1,5 @@
 """Which arms a URDF describes: every run of joints that a tip may stand at the end of."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,11 +65,6 @@ def behind(document: Urdf, arm: Chain, first: int) -> Chain:
     if not first:
         return arm
     return Chain(document.joint(arm.joints[first]).parent, arm.tip, arm.joints[first:], arm.others)
-
-
-def listed(arms: Sequence[Chain]) -> tuple[str, ...]:
-    """Return tips, those of the longest arms first."""
-    return tuple(dict.fromkeys(arm.tip for arm in arms))
 
 
 def whole_chains(document: Urdf) -> tuple[Chain, ...]:

@@ -9,7 +9,7 @@ import time
 import warnings
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -21,8 +21,8 @@ from calib.foundations.folders import reading_folder, real_folder, refuse_unwrit
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.job.calibrate import calibrate
 from calib.job.read import Progress
+from calib.results.calibration import versions
 from calib.results.folder import ALWAYS, TO_BE_SEEN, read_result
-from calib.results.versions import versions
 from calib.robot.sources import EXAMPLE, resolve
 
 # How long a cluster may take to answer, and may be without any worker, in s.
@@ -230,7 +230,15 @@ def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[D
 @contextmanager
 def _cluster(address: str, jobs: Sequence[FleetJob]) -> Iterator[Iterable[Done]]:
     """Run jobs over the workers of a Dask cluster, as :func:`_local`."""
-    with _client(address) as client, closing(_on_cluster(client, address, jobs)) as finished:
+    try:
+        from distributed import Client  # noqa: PLC0415 - an optional dependency
+    except ImportError as e:
+        raise JobError("--dask: needs a package that is not installed: pip install 'urdf-calib[dask]'.") from e
+    try:
+        client = Client(address, timeout=_PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as e:
+        raise JobError(f"{address}: no Dask scheduler answers there, as at tcp://host:8786.") from e
+    with client, closing(_on_cluster(client, address, jobs)) as finished:
         yield finished
 
 
@@ -321,16 +329,3 @@ def _end_workers() -> None:
     from joblib.externals.loky import get_reusable_executor  # noqa: PLC0415 - calib must not load it on import
 
     get_reusable_executor(reuse=True).shutdown(kill_workers=True)
-
-
-def _client(address: str) -> AbstractContextManager[Any]:
-    """Return a client of a Dask cluster."""
-    try:
-        from distributed import Client  # noqa: PLC0415 - an optional dependency
-    except ImportError as e:
-        raise JobError("--dask: needs a package that is not installed: pip install 'urdf-calib[dask]'.") from e
-    try:
-        client: AbstractContextManager[Any] = Client(address, timeout=_PATIENCE, set_as_default=False)
-    except (OSError, ValueError) as e:
-        raise JobError(f"{address}: no Dask scheduler answers there, as at tcp://host:8786.") from e
-    return client

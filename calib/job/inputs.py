@@ -11,33 +11,10 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.losses import Loss
 from calib.identification.optics_choice import OpticsChoice
 from calib.identification.sanity import signatures
+from calib.job import refusals, tables
 from calib.job.read import Progress
-from calib.job.refusals import (
-    findings_of_rank,
-    found_from_held_out,
-    not_held_out,
-    refuse_findings,
-    refuse_levels,
-    refuse_no_noise,
-    refuse_open_loops,
-    refuse_unknown_names,
-    refuse_wrong_shapes,
-    weights_not_known,
-)
 from calib.job.schema import Job, MeasurementsSection
 from calib.job.stated import load_arm, meshes_not_found
-from calib.job.tables import (
-    OF_HELD_OUT,
-    arms_of,
-    lenses_of,
-    measurements_of,
-    model_sigmas,
-    of_one_clock,
-    prints_of,
-    shared_out,
-    with_held_out,
-    with_optics,
-)
 from calib.measurement.checks import Finding, copied_tables, table_findings
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Robot
@@ -85,50 +62,50 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     stamps = {path: stamp(path)}
     written = job is None
     arm = load_arm(path, job)
-    job, urdf, robot, model, folder = with_held_out(arm.job), arm.urdf, arm.robot, arm.model, path.parent
+    job, urdf, robot, model, folder = tables.with_held_out(arm.job), arm.urdf, arm.robot, arm.model, path.parent
     progress("reading the measurements")
     sections = job.measurements
     named = list(dict.fromkeys(name for section in sections for name in (section.file, section.readings) if name))
-    prints = prints_of(job, folder)
-    lenses = lenses_of(job, folder)
+    prints = tables.prints_of(job, folder)
+    lenses = tables.lenses_of(job, folder)
     named += [name for name in (*prints, *lenses) if name not in named]
     stamps |= {folder / name: stamp(folder / name) for name in named}
-    arms = arms_of(job, path)
+    arms = tables.arms_of(job, path)
     doubts = [finding for arm in arms.values() for finding in arm.findings]
     # Rows held out are those of a table above: it is read once.
-    tables: list[tuple[MeasurementsSection, Measurements]] = []
+    before: list[tuple[MeasurementsSection, Measurements]] = []
     sets: list[Measurements] = []
     for section in sections:
-        own = section.model_copy(update={**OF_HELD_OUT, "use": "identify"})
-        data = next((read for other, read in tables if other == own), None)
+        own = section.model_copy(update={**tables.OF_HELD_OUT, "use": "identify"})
+        data = next((read for other, read in before if other == own), None)
         if data is None:
-            of = of_one_clock(section, tables)
-            data = measurements_of(section, job, robot, folder, arms, prints, lenses, doubts, of)
-            tables.append((own, data))
-        sets.append(data if section.hold_out is None else shared_out(data, section.hold_out, section.use))
+            of = tables.of_one_clock(section, before)
+            data = tables.measurements_of(section, job, robot, folder, arms, prints, lenses, doubts, of)
+            before.append((own, data))
+        sets.append(data if section.hold_out is None else tables.shared_out(data, section.hold_out, section.use))
     seen = any(data.camera is not None for data in sets)
-    sets, optics = with_optics(job, sets, prints, progress) if seen else (sets, ())
-    refuse_open_loops(robot, sets)
+    sets, optics = tables.with_optics(job, sets, prints, progress) if seen else (sets, ())
+    refusals.refuse_open_loops(robot, sets)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
     nodes = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "nodes")
-    refuse_levels(job, path)
-    refuse_unknown_names(job, sets, path)
-    refuse_wrong_shapes(job, sets, path)
+    refusals.refuse_levels(job, path)
+    refusals.refuse_unknown_names(job, sets, path)
+    refusals.refuse_wrong_shapes(job, sets, path)
     whole, model = model, model.within(chosen)
-    doubts += found_from_held_out(whole, chosen, held_out)
-    refuse_no_noise(job, sets, path)
-    doubts += weights_not_known(model, sets)
+    doubts += refusals.found_from_held_out(whole, chosen, held_out)
+    refusals.refuse_no_noise(job, sets, path)
+    doubts += refusals.weights_not_known(model, sets)
     doubts += meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf)
     findings = doubts + [finding for data in sets for finding in table_findings(data, robot.readings, robot.reach)]
     findings += [finding for one_use in (chosen, held_out, nodes) for finding in copied_tables(one_use)]
     if len(chosen) > 1:
         # A joint that rests in one table may move in another; what is never seen, the rank says.
         findings = [finding for finding in findings if finding.code != "joint-at-rest"]
-    refuse_findings(findings)
+    refusals.refuse_findings(findings)
     progress("looking for typical mistakes")
     findings += signatures(model, chosen)
-    refuse_findings(findings)
+    refusals.refuse_findings(findings)
     hashes = {
         **({path.name: sha256(read_bytes(path, JobError))} if written else {}),
         job.robot.urdf: sha256(robot.urdf.source),
@@ -136,10 +113,10 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
         **{name: sha256(read_bytes(file, JobError)) for arm in arms.values() for name, file in arm.files.items()},
     }
     # The hashes are to be those of what was read.
-    for file, before in stamps.items():
-        if stamp(file) != before:
+    for file, known in stamps.items():
+        if stamp(file) != known:
             raise JobError(f"{file}: has changed while it was read; run again when it is whole.")
-    findings += [*not_held_out(job, hashes, path), *findings_of_rank(model, chosen, path)]
+    findings += [*refusals.not_held_out(job, hashes, path), *refusals.findings_of_rank(model, chosen, path)]
     return Inputs(
         job=job,
         path=path,
@@ -149,7 +126,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
         identify=chosen,
         validate=held_out,
         nodes=nodes,
-        model_sigmas=tuple(model_sigmas(section) for section in sections if section.use == "identify"),
+        model_sigmas=tuple(tables.model_sigmas(section) for section in sections if section.use == "identify"),
         mesh_roots=arm.mesh_roots,
         findings=tuple(findings),
         hashes=hashes,

@@ -2,8 +2,9 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.files import sentences
 from calib.foundations.units import MM
 from calib.foundations.words import listed, shown
 from calib.job.chains import chains, whole_chains
@@ -89,6 +91,15 @@ class Imported:
             "left_out": [{"image": one.name, "why": one.left_out} for one in self.photographs if one.left_out],
             "remarks": list(self.remarks),
         }
+
+    @property
+    def sentences(self) -> list[str]:
+        """How readings came, what is left out and why, and how many corners there are."""
+        told = self.contents()
+        said = [f"{remark}." for remark in self.remarks]
+        said += [f"{one.name} is left out: {one.left_out}." for one in self.photographs if one.left_out]
+        of = f"{told['corners']} corners of {told['used']} of {len(self.photographs)} photographs"
+        return [*said, f"{of}; {told['sigma']:.3f} px each."]
 
     def table(self) -> str:
         """Return the table of pixels: a row for every corner, with the readings of its photograph."""
@@ -198,10 +209,8 @@ _NOTHING = Detection(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0), 
 
 
 def _files(folder: Path) -> list[Path]:
-    try:
+    with sentences(folder, MeasurementError):
         found = sorted(file for file in folder.iterdir() if file.suffix.lower() in ENDINGS and file.is_file())
-    except OSError as e:
-        raise MeasurementError(f"{folder}: cannot be read ({e.strerror}).") from e
     if not found:
         raise MeasurementError(f"{folder}: holds no photographs; they end with {', '.join(ENDINGS)}.")
     return found
@@ -338,16 +347,4 @@ def _inverse(path: Path, robot: Robot, poses: Array, images: Sequence[str]) -> A
 
 def flange_urdf() -> str:
     """Return a URDF of six axes that put a flange anywhere: its readings are the flange's pose itself."""
-    axes = ("1 0 0", "0 1 0", "0 0 1", "0 0 1", "0 1 0", "1 0 0")
-    return "\n".join(["<robot name='flange'>", "  <link name='base'/>", *_joints(axes), "</robot>", ""])
-
-
-def _joints(axes: Sequence[str]) -> Iterator[str]:
-    parent = "base"
-    for k, (name, axis) in enumerate(zip(_FLANGE, axes, strict=True)):
-        child = "flange" if k == len(axes) - 1 else f"link_{k + 1}"
-        kind, limit = ("prismatic", 100.0) if k < 3 else ("revolute", 7.0)
-        yield f"  <link name='{child}'/>"
-        yield f"  <joint name='{name}' type='{kind}'><parent link='{parent}'/><child link='{child}'/>"
-        yield f"    <axis xyz='{axis}'/><limit lower='-{limit:g}' upper='{limit:g}' effort='1' velocity='1'/></joint>"
-        parent = child
+    return files("calib.job").joinpath("flange.urdf").read_text(encoding="utf-8")

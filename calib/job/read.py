@@ -1,5 +1,6 @@
 """From a file to a job, or to a board, or one clear sentence."""
 
+import json
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,7 @@ from pydantic import ValidationError
 from calib.foundations.csv_text import text_of
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
+from calib.foundations.units import MM
 from calib.foundations.words import shown
 from calib.job.contradictions import contradictions
 from calib.job.schema import BoardSection, Job
@@ -52,6 +54,23 @@ def read_board(path: Path) -> Print:
         )
     except JobError as e:
         raise JobError(f"{path}: {str(e).removeprefix('board: ')}") from e
+
+
+def board_toml(print_: Print) -> str:
+    """Return the text of a ``board.toml``."""
+    lines = [
+        "# What is printed. Measure the ruler: if it is off, write the side of a square as it is.",
+        f"kind = {json.dumps(print_.kind)}",
+        f"squares = [{print_.squares[0]}, {print_.squares[1]}]",
+        f'square = "{print_.square / MM:g} mm"',
+    ]
+    if print_.kind == "charuco":
+        lines += [f'marker = "{print_.marker / MM:g} mm"', f"dictionary = {json.dumps(print_.dictionary)}"]
+    lines += [
+        f"square_sigma = {print_.square_sigma:g}  # standard deviation of the print's scale, a share; 0 where measured",
+        f'shape = "{print_.shape}"  # "flat", "quadratic", "free", or "auto": what photographs held out ask for',
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def read_toml(path: Path) -> dict[str, Any]:

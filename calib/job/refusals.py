@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.foundations.errors import JobError, MeasurementError, naming_rows
+from calib.foundations.errors import JobError, MeasurementError, naming, naming_rows
 from calib.identification.error_model import ErrorModel
 from calib.identification.observability import rank_findings
 from calib.identification.targets import shapes
@@ -99,8 +99,7 @@ def found_from_held_out(
             if name not in setups and (known is None or not known.fixed):
                 names.append(("set-up", name))
         for what, name in names:
-            yield Finding(
-                "warning",
+            yield Finding.warning(
                 "found-from-held-out",
                 f"{data.where}: the {what} {name!r} is in no table to identify from, so it is found from these "
                 "held-out rows; where they are few, their errors look too small.",
@@ -114,8 +113,7 @@ def weights_not_known(model: ErrorModel, sets: Sequence[Measurements]) -> Iterat
     at_zero = weighed_at_zero(model.urdf_robot)
     for data in sets:
         if names := [name for name in data.unused if name in at_zero]:
-            yield Finding(
-                "warning",
+            yield Finding.warning(
                 "weighed-at-zero",
                 f"{data.where}: the weight behind joint {', '.join(map(repr, names))} is taken as if the joint were at "
                 "zero, although the table has its readings; name a link behind it in robot.links.",
@@ -161,8 +159,7 @@ def not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Findin
     """Find tables that the model is both fitted to and judged by."""
     fitted = {hashes[section.file]: section.file for section in job.measurements if section.use == "identify"}
     return [
-        Finding(
-            "warning",
+        Finding.warning(
             "not-held-out",
             f"{path}: measurements[{i}].file: {section.file!r} is {fitted[hashes[section.file]]!r} again, from which "
             "the parameters are identified; a validation with the same rows proves nothing.",
@@ -174,7 +171,5 @@ def not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Findin
 
 def findings_of_rank(model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> tuple[Finding, ...]:
     """Return what the data cannot show of the model; raises JobError where rows do not fit the robot."""
-    try:
+    with naming(path, JobError):
         return rank_findings(model, chosen)
-    except JobError as e:
-        raise JobError(f"{path}: {e}") from e

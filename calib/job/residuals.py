@@ -71,4 +71,4 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
         f"The Gaussian process is left out: at rows held out it brings the position error from {without.rms / MM:.3g} "
         f"mm to {held.rms / MM:.3g} mm, which is not better by more than a standard error."
     )
-    return ResidualLevel(None, 0, Finding("warning", "gaussian-process-left-out", sentence))
+    return ResidualLevel(None, 0, Finding.warning("gaussian-process-left-out", sentence))

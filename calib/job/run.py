@@ -9,7 +9,7 @@ from calib.assessment.blame import blame
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.suggestions import suggestions
-from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.foundations.errors import IdentificationError, JobError, MeasurementError, naming
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
 from calib.identification.initialisation.problem import initial_problem
@@ -22,7 +22,7 @@ from calib.results.calibration import Calibration, LevelReport, Origin, assess
 
 def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
     """Identify, and judge by the data held out."""
-    try:
+    with naming(inputs.path, IdentificationError, JobError):
         choice = _choose(inputs, progress)
         if choice is not None:
             inputs = replace(inputs, model=choice.model)
@@ -30,8 +30,6 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
         known, values, remark = residual_model(inputs, fit, progress)
         if remark is not None:
             inputs = replace(inputs, findings=(*inputs.findings, remark))
-    except (IdentificationError, JobError) as e:
-        raise type(e)(f"{inputs.path}: {e}") from e
     trace = None
     if inputs.job.solver.kind == "total_differential":
         progress("following the total differential")
@@ -68,7 +66,7 @@ def _choose(inputs: Inputs, progress: Progress) -> Choice | None:
     section = inputs.job.error_model
     if section.terms != "auto":
         return None
-    try:
+    with naming(f"{inputs.path}: error_model.terms", MeasurementError):
         return choose_terms(
             inputs.model,
             inputs.identify,
@@ -76,13 +74,11 @@ def _choose(inputs: Inputs, progress: Progress) -> Choice | None:
             losses=inputs.losses,
             progress=progress,
         )
-    except MeasurementError as e:
-        raise MeasurementError(f"{inputs.path}: error_model.terms: {e}") from e
 
 
 def _follow(inputs: Inputs) -> Trace:
     solver = inputs.job.solver
-    try:
+    with naming(f"{inputs.path}: solver", IdentificationError, JobError):
         return total_differential(
             inputs.model,
             inputs.identify,
@@ -90,8 +86,6 @@ def _follow(inputs: Inputs) -> Trace:
             rounding=None if solver.rounding is None else solver.rounding.si,
             most=solver.most,
         )
-    except (IdentificationError, JobError) as e:
-        raise type(e)(f"{inputs.path}: solver: {e}") from e
 
 
 def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, ...]]:

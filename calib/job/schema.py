@@ -12,7 +12,7 @@ from calib.job import fields
 from calib.job.fields import Name, Names, Quantity, at_most, quantity
 from calib.measurement.boards import SQUARE_SIGMA
 from calib.measurement.kinds import Kind
-from calib.measurement.lens import NAMES
+from calib.measurement.lens import CENTRE, FOCAL, NAMES
 from calib.measurement.prints import PrintKind, PrintShape
 from calib.robot.terms import KINDS
 
@@ -212,21 +212,19 @@ class RelationSection(_Section):
         return next(kind for kind in get_args(RelationKind) if getattr(self, kind) is not None)
 
 
-class LensSigmaSection(_Section):
-    """``lens_sigma`` of a camera: standard deviations of free numbers of its lens about those given."""
+_SIGMAS: Any = {
+    name: (fields.LensSigma | None if name in (*FOCAL, *CENTRE) else fields.DistortionSigma | None, None)
+    for name in NAMES
+}
 
-    fx: fields.LensSigma | None = None
-    fy: fields.LensSigma | None = None
-    cx: fields.LensSigma | None = None
-    cy: fields.LensSigma | None = None
-    k1: fields.DistortionSigma | None = None
-    k2: fields.DistortionSigma | None = None
-    p1: fields.DistortionSigma | None = None
-    p2: fields.DistortionSigma | None = None
-    k3: fields.DistortionSigma | None = None
-    k4: fields.DistortionSigma | None = None
-    k5: fields.DistortionSigma | None = None
-    k6: fields.DistortionSigma | None = None
+if TYPE_CHECKING:
+    _LensSigmas = _Section
+else:
+    _LensSigmas = create_model("_LensSigmas", __base__=_Section, **_SIGMAS)
+
+
+class LensSigmaSection(_LensSigmas):
+    """``lens_sigma`` of a camera: standard deviations of free numbers of its lens about those given."""
 
     @property
     def by_name(self) -> dict[str, float]:

@@ -8,43 +8,29 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from calib.foundations.words import near, shortened
+from calib.job import schema
 from calib.job.fields import as_toml
-from calib.job.schema import (
-    AboutSection,
-    BoardSection,
-    ErrorModelSection,
-    FrameSection,
-    InstrumentSection,
-    Job,
-    MeasurementsSection,
-    PayloadSection,
-    PriorSection,
-    RelationSection,
-    RobotSection,
-    SetupSection,
-    TargetSection,
-)
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
 
 _HEADERS: dict[type[BaseModel], str] = {
-    Job: "",
-    AboutSection: "[about]",
-    RobotSection: "[robot]",
-    ErrorModelSection: "[error_model]",
-    PriorSection: "prior of [error_model]",
-    PayloadSection: "payload of [robot]",
-    FrameSection: "[base] or [tools.NAME]",
-    SetupSection: "[setups.NAME]",
-    InstrumentSection: "[instruments.NAME]",
-    TargetSection: "[targets.NAME]",
-    RelationSection: "[[relations]]",
-    MeasurementsSection: "[[measurements]]",
-    BoardSection: "a board.toml",
+    schema.Job: "",
+    schema.AboutSection: "[about]",
+    schema.RobotSection: "[robot]",
+    schema.ErrorModelSection: "[error_model]",
+    schema.PriorSection: "prior of [error_model]",
+    schema.PayloadSection: "payload of [robot]",
+    schema.FrameSection: "[base] or [tools.NAME]",
+    schema.SetupSection: "[setups.NAME]",
+    schema.InstrumentSection: "[instruments.NAME]",
+    schema.TargetSection: "[targets.NAME]",
+    schema.RelationSection: "[[relations]]",
+    schema.MeasurementsSection: "[[measurements]]",
+    schema.BoardSection: "a board.toml",
 }
 
 
-def validation_sentence(error: ValidationError, root: type[BaseModel] = Job) -> str:
+def validation_sentence(error: ValidationError, root: type[BaseModel] = schema.Job) -> str:
     """Return the first thing to mend: another schema explains all else, and unknown keys most missing ones."""
 
     def order(e: ErrorDetails) -> int:

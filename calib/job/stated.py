@@ -18,21 +18,9 @@ from calib.identification.parameters import Prior, Priors
 from calib.identification.relations import Relation
 from calib.identification.set_ups import SetUp
 from calib.identification.targets import Target
+from calib.job import schema
 from calib.job.fields import Quantity
 from calib.job.read import read_job
-from calib.job.schema import (
-    FLOOR,
-    CouplingSection,
-    FrameSection,
-    InstrumentSection,
-    Job,
-    PayloadSection,
-    PriorSection,
-    RelationSection,
-    RobotSection,
-    SetupSection,
-    TargetSection,
-)
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import ONLY_SETUP
 from calib.robot.deviation import axis_frame
@@ -47,14 +35,14 @@ from calib.robot.urdf import Urdf, read_urdf
 class JobArm(NamedTuple):
     """What a job says of the arm and what is free of it; its measurements need not be there yet."""
 
-    job: Job
+    job: schema.Job
     urdf: Path
     robot: Robot
     model: ErrorModel
     mesh_roots: tuple[Path, ...]
 
 
-def load_arm(path: Path, job: Job | None = None) -> JobArm:
+def load_arm(path: Path, job: schema.Job | None = None) -> JobArm:
     """Read the arm and the error model of a job, and nothing else. Raises CalibError with one sentence."""
     job = read_job(path) if job is None else job
     urdf = resolve(job.robot.urdf) if job.robot.urdf.startswith(EXAMPLE) else path.parent / job.robot.urdf
@@ -62,10 +50,10 @@ def load_arm(path: Path, job: Job | None = None) -> JobArm:
     return JobArm(job, urdf, robot, _model(job, robot, path), _mesh_roots(job, urdf, path))
 
 
-def _robot(job: Job, urdf: Path, path: Path) -> Robot:
+def _robot(job: schema.Job, urdf: Path, path: Path) -> Robot:
     section, document = job.robot, read_urdf(urdf)
     tips = [table.tip for table in job.measurements if table.tip is not None]
-    links = [*tips, *section.links, *(target.on for target in job.targets.values() if target.on != FLOOR)]
+    links = [*tips, *section.links, *(target.on for target in job.targets.values() if target.on != schema.FLOOR)]
     payloads = [section.payload, *(setup.payload for setup in job.setups.values())]
     payloads += [table.payload for table in job.measurements]
     links += [payload.link for payload in payloads if payload is not None and payload.link is not None]
@@ -83,25 +71,25 @@ def _robot(job: Job, urdf: Path, path: Path) -> Robot:
     ).with_loads({name: _load(setup, section) for name, setup in job.setups.items() if setup.gravity or setup.payload})
 
 
-def _load(setup: SetupSection, robot: RobotSection) -> Load:
+def _load(setup: schema.SetupSection, robot: schema.RobotSection) -> Load:
     """Return what bears on the robot in a set-up: what that does not say is as everywhere."""
     x, y, z = (component.si for component in setup.gravity or robot.gravity)
     return Load((x, y, z), payload_of(setup.payload or robot.payload))
 
 
-def carrier_of(section: InstrumentSection) -> str | None:
+def carrier_of(section: schema.InstrumentSection) -> str | None:
     """Return the link that carries a camera, None for the floor, the tip, and for other instruments."""
     return section.camera_on["link"] if isinstance(section.camera_on, dict) else None
 
 
-def _coupling(section: CouplingSection, i: int, document: Urdf, path: Path) -> Coupling:
+def _coupling(section: schema.CouplingSection, i: int, document: Urdf, path: Path) -> Coupling:
     slides = {joint.name for joint in document.joints if joint.type == "prismatic"}
     dimension: Dimension = "length" if section.joint in slides else "angle"
     offset = 0.0 if section.offset is None else section.offset.of(dimension, f"{path}: robot.coupling[{i}].offset")
     return Coupling(section.joint, section.drivers, offset)
 
 
-def payload_of(section: PayloadSection | None) -> Payload | None:
+def payload_of(section: schema.PayloadSection | None) -> Payload | None:
     """Return a payload as a section states it."""
     if section is None:
         return None
@@ -109,7 +97,7 @@ def payload_of(section: PayloadSection | None) -> Payload | None:
     return Payload(section.mass.si, (x, y, z), section.link or "")
 
 
-def _mesh_roots(job: Job, urdf: Path, path: Path) -> tuple[Path, ...]:
+def _mesh_roots(job: schema.Job, urdf: Path, path: Path) -> tuple[Path, ...]:
     """Return the folders where the scene may look for meshes."""
     named = [path.parent / root for root in job.robot.mesh_roots]
     for i, (root, text) in enumerate(zip(named, job.robot.mesh_roots, strict=True)):
@@ -129,8 +117,7 @@ def meshes_not_found(source: bytes, roots: Sequence[Path], where: str) -> list[F
     if not lost:
         return []
     return [
-        Finding(
-            "warning",
+        Finding.warning(
             "meshes-not-found",
             f"{where}: {len(lost)} of its {len(uris)} meshes are not found, such as {shown(lost[0])}; the scene shows "
             "sticks, and nothing else needs them. Name the folder above the package in robot.mesh_roots, or source its "
@@ -146,7 +133,7 @@ def _is_folder(path: Path) -> bool:
         return False
 
 
-def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
+def _model(job: schema.Job, robot: Robot, path: Path) -> ErrorModel:
     section = job.error_model
     try:
         model = error_model(
@@ -173,12 +160,12 @@ def _model(job: Job, robot: Robot, path: Path) -> ErrorModel:
     return model
 
 
-def _placement(frame: FrameSection) -> Array:
+def _placement(frame: schema.FrameSection) -> Array:
     position = np.array([length.si for length in frame.position])
     return rigid.placement(rigid.rotation_of_quaternion(np.array(frame.quaternion)), position)
 
 
-def _setups(job: Job) -> dict[str, SetUp]:
+def _setups(job: schema.Job) -> dict[str, SetUp]:
     """Return what is known of where the base stood; of the set-up without a name only with a prior."""
     known = {ONLY_SETUP: job.base} if job.base is not None and job.base.prior is not None else {}
     known |= {name: base for name, section in job.setups.items() if (base := section.base) is not None}
@@ -192,7 +179,7 @@ def _setups(job: Job) -> dict[str, SetUp]:
     }
 
 
-def _target(section: TargetSection) -> Target:
+def _target(section: schema.TargetSection) -> Target:
     if section.position is not None:
         point = np.array([length.si for length in section.position])
         turn = np.eye(3) if section.quaternion is None else rigid.rotation_of_quaternion(np.array(section.quaternion))
@@ -203,11 +190,11 @@ def _target(section: TargetSection) -> Target:
     return Target(T @ rigid.translation(np.array([0.0, 0.0, height or 0.0])), height is not None)
 
 
-def _relation(section: RelationSection) -> Relation:
+def _relation(section: schema.RelationSection) -> Relation:
     return Relation(section.kind, section.targets, getattr(section, section.kind).si, section.sigma.si)
 
 
-def _priors(section: PriorSection) -> Priors:
+def _priors(section: schema.PriorSection) -> Priors:
     elastic = section.elastic
     slides = isinstance(elastic, Quantity) and elastic.dimension == "sliding compliance"
     turning, sliding = (None, elastic) if slides else (elastic, elastic if elastic == "learned" else None)

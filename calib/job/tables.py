@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.assessment.validation import hold_out
-from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.errors import JobError, MeasurementError, naming
 from calib.identification.optics_choice import OpticsChoice, choose_optics
 from calib.job.arm import ReadArm, read_arm
 from calib.job.propose import reading_that_fits
@@ -17,7 +17,7 @@ from calib.machine.touching import touched
 from calib.measurement.checks import Finding
 from calib.measurement.formats.lens_files import read_lens
 from calib.measurement.instruments import Camera, CameraPlace, LaserTracker
-from calib.measurement.lens import BENT, CENTRE, FOCAL, RATIONAL, Lens
+from calib.measurement.lens import BENT, CENTRE, FOCAL, NAMES, Lens
 from calib.measurement.measurements import Measurements
 from calib.measurement.optics import seen_by
 from calib.measurement.prints import Print
@@ -106,10 +106,8 @@ def arms_of(job: Job, path: Path) -> dict[str, ReadArm]:
     """Return the instruments of a job that are arms and that some table was measured with."""
     used = {section.instrument for section in job.measurements}
     arms = {name: arm for name, arm in job.instruments.items() if arm.kind == "arm" and name in used}
-    try:
+    with naming(path, JobError):
         return {name: read_arm(name, section, path.parent) for name, section in arms.items()}
-    except JobError as e:
-        raise JobError(f"{path}: {e}") from e
 
 
 def measurements_of(
@@ -213,11 +211,10 @@ def _instrument(
 ) -> LaserTracker | Camera:
     sigma = 0.0 if section.sigma is None else section.sigma.si
     if section.kind == "camera":
-        fx, fy, cx, cy = (None if q is None else q.si for q in (section.fx, section.fy, section.cx, section.cy))
         place: CameraPlace = "tip" if section.camera_on == "tip" else "floor"
         free = {"given": (), "free": (*FOCAL, *CENTRE, *BENT)}.get(section.lens, section.lens)
-        bent = {key: getattr(section, key) for key in (*BENT, *RATIONAL)}
-        numbers: dict[str, Any] = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, **bent}
+        stated = {name: getattr(section, name) for name in NAMES}
+        numbers: dict[str, Any] = {name: getattr(value, "si", value) for name, value in stated.items()}
         size = section.size
         if section.lens_file is not None:
             lens, size = lenses[section.lens_file]

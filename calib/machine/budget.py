@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
 
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.chance import correlation_time
@@ -29,7 +28,7 @@ from calib.identification.machine import Layout, Machine, values_at
 from calib.identification.parameters import Parameter, scales
 from calib.identification.set_up_motions import without
 from calib.identification.system import Evaluation, Problem, evaluate
-from calib.identification.widths import NARROWEST, WIDEST, NormalEquations, likelihood
+from calib.identification.widths import NormalEquations, likelihood, searched
 from calib.machine.not_seen import likely_widths
 from calib.machine.systematic import Systematic, usual_waves
 from calib.machine.uncertainty import Waves
@@ -39,8 +38,8 @@ _FEWEST = 3.0
 # Of a robust loss, rows that lie farther off count as ordinary ones.
 _FAR = 2.0
 # By how much sizes of waves differ, as a logarithm: fourfold is usual, and the more may be, the larger are those that
-# chance makes. How far noise is sought.
-_ALIKE, _MOST_NOISE, _MOST_STEPS = 1.4, 1e3, 300
+# chance makes.
+_ALIKE = 1.4
 # The power of a size by which the likelihood is multiplied, twice.
 _OFF_ZERO = 0.5
 # Longest lag of it, in rows.
@@ -239,34 +238,20 @@ def _sizes(rows: NormalEquations, drifts: bool) -> tuple[Array, Array]:
     :mod:`calib.identification.widths` the likelihood is multiplied by a power of the common size, and of that of the
     drift, so that nothing is said to be zero because it does not show.
     """
-    g, c = int(rows.group.max()) + 1, len(rows.counts)
-    usual, ones = np.ones(g), np.ones(c)
+    g = int(rows.group.max()) + 1
+    usual, ones = np.ones(g), np.ones(len(rows.counts))
     if np.sum(likelihood(rows, usual, ones).gamma) < _FEWEST:
         return usual, ones
     waves = g - 1 if drifts else g
 
-    def cost(theta: Array) -> tuple[float, Array]:
-        found = likelihood(rows, np.exp(theta[:g]), np.exp(theta[g:]))
-        slopes = np.concatenate([found.by_widths, found.by_factors])
-        apart = theta[:waves] - np.mean(theta[:waves])
-        slopes[:waves] += 2.0 * apart / _ALIKE**2 - _OFF_ZERO / waves
-        slopes[waves:g] -= _OFF_ZERO
-        held = np.sum(apart**2) / _ALIKE**2 - _OFF_ZERO * (np.mean(theta[:waves]) + np.sum(theta[waves:g]))
-        return found.value + float(held), slopes
+    def held(logs: Array) -> tuple[float, Array]:
+        apart = logs[:waves] - np.mean(logs[:waves])
+        slopes = np.full(g, -_OFF_ZERO)
+        slopes[:waves] = 2.0 * apart / _ALIKE**2 - _OFF_ZERO / waves
+        cost = np.sum(apart**2) / _ALIKE**2 - _OFF_ZERO * (np.mean(logs[:waves]) + np.sum(logs[waves:]))
+        return float(cost), slopes
 
-    low = np.clip(rows.least, 1.0 / _MOST_NOISE, 1.0)
-    bounds = np.log(
-        np.concatenate([np.tile([[NARROWEST, WIDEST]], (g, 1)), np.column_stack([low, np.full(c, _MOST_NOISE)])])
-    )
-    result = minimize(
-        cost,
-        np.zeros(g + c),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=bounds,
-        options={"maxiter": _MOST_STEPS, "gtol": 1e-4},
-    )
-    return np.exp(result.x[:g]), np.exp(result.x[g:])
+    return searched(rows, usual, held)
 
 
 def _rows_as_one(

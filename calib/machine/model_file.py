@@ -198,12 +198,9 @@ def model_file(machine: CalibratedMachine) -> ModelFile:
         urdf=NOMINAL_FILE,
         base_link=robot.base,
         tip=robot.tip,
-        joints=_joints(machine),
+        **_geometry_of(machine),
         transmission=_transmission(robot),
-        base=PoseEntry.of(machine.base),
         setup=machine.setup,
-        setups={name: PoseEntry.of(T) for name, T in machine.others.items()},
-        tools=_tools(machine),
         links=robot.links if len(robot.links) > 1 else (),
         tool_tips=dict(machine.tool_tips),
         residual_model=residual_file(machine.residual_model),
@@ -218,20 +215,14 @@ def model_file(machine: CalibratedMachine) -> ModelFile:
         gravity=robot.gravity,
         payload=robot.payload,
         loads=dict(robot.loads),
-        in_urdf=None
-        if geometry is None
-        else GeometryEntry(
-            joints=_joints(geometry),
-            base=PoseEntry.of(geometry.base),
-            setups={name: PoseEntry.of(T) for name, T in geometry.others.items()},
-            tools=_tools(geometry),
-        ),
+        in_urdf=None if geometry is None else GeometryEntry(**_geometry_of(geometry)),
     )
 
 
-def _joints(machine: CalibratedMachine) -> tuple[JointEntry, ...]:
+def _geometry_of(machine: CalibratedMachine) -> dict[str, Any]:
+    """Return what :class:`GeometryEntry` holds of a machine, and a whole model as well."""
     offsets = iter(map(float, machine.deviations.offsets))
-    return tuple(
+    joints = tuple(
         JointEntry(
             name=joint.name,
             type=joint.type,
@@ -240,10 +231,8 @@ def _joints(machine: CalibratedMachine) -> tuple[JointEntry, ...]:
         )
         for joint, d in zip(machine.robot.chain, machine.deviations.placements, strict=True)
     )
-
-
-def _tools(machine: CalibratedMachine) -> dict[str, PoseEntry]:
-    return {name: PoseEntry.of(T) for name, T in machine.tools.items()}
+    setups, tools = ({name: PoseEntry.of(T) for name, T in of.items()} for of in (machine.others, machine.tools))
+    return {"joints": joints, "base": PoseEntry.of(machine.base), "setups": setups, "tools": tools}
 
 
 def _transmission(robot: Robot) -> tuple[CouplingEntry, ...]:

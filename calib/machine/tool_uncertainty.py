@@ -109,15 +109,8 @@ class _View(NamedTuple):
 
     def motions(self, columns: Array, readings: Array, conditions: Conditions) -> Array:
         """Return the motions (N, 6, k) of the tool for changes (n, k) of the state."""
-        return tool_motions(
-            self.machine,
-            columns,
-            readings,
-            self.tool,
-            base=self.base,
-            tool_pose=self.tool_pose,
-            conditions=conditions,
-        )
+        seen = {"base": self.base, "tool_pose": self.tool_pose}
+        return tool_motions(self.machine, columns, readings, self.tool, **seen, conditions=conditions)
 
     def waved(self, waves: Waves, readings: Array, conditions: Conditions) -> Array:
         """Return what one standard deviation of every wave does to the tool itself (N, 6, many)."""

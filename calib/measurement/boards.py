@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields, refuse_fields
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
@@ -53,6 +53,7 @@ class Board:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        own_fields(self)
         refuse_shape(self.marks, (None, 3), "board: marks")
         refuse_beyond(self.marks, "position, station, point", "board: marks")
         refuse_beyond(self.scale_sigma, "square_sigma", "board: square_sigma")
@@ -91,23 +92,15 @@ def shape_modes(marks: Array, shape: BoardShape) -> Array:
         return np.zeros((n, 3, 0))
     x = marks - marks.mean(axis=0)
     x = x / np.sqrt((x * x).sum(axis=1).mean())
-    zero = np.zeros(n)
     whole = np.zeros((n, 3, 7))
     whole[:, :, :3] = np.eye(3)
     for k in range(3):
         whole[:, :, 3 + k] = np.cross(np.eye(3)[k], x)
     whole[:, :, 6] = x
     u, v = x[:, 0], x[:, 1]
-    bent = np.stack(
-        [
-            np.stack([zero, zero, u * u], axis=1),
-            np.stack([zero, zero, v * v], axis=1),
-            np.stack([zero, zero, u * v], axis=1),
-            np.stack([u, -v, zero], axis=1),
-            np.stack([v, u, zero], axis=1),
-        ],
-        axis=2,
-    )
+    bent = np.zeros((n, 3, 5))
+    bent[:, 2, :3] = np.stack([u * u, v * v, u * v], axis=1)
+    bent[:, 0, 3:], bent[:, 1, 3:] = np.stack([u, v], axis=1), np.stack([-v, u], axis=1)
     whole_basis = np.linalg.qr(whole.reshape(3 * n, 7))[0]
     own = bent.reshape(3 * n, 5)
     own = own - whole_basis @ (whole_basis.T @ own)

@@ -53,6 +53,11 @@ class Finding:
     code: str
     sentence: str
 
+    @classmethod
+    def warning(cls, code: str, sentence: str) -> "Finding":
+        """Return a finding that is worth a look, and no error."""
+        return cls("warning", code, sentence)
+
 
 def table_findings(measurements: Measurements, readings: Sequence[Reading], reach: float) -> tuple[Finding, ...]:
     """Return what looks wrong, the checks of the readings first.
@@ -63,8 +68,12 @@ def table_findings(measurements: Measurements, readings: Sequence[Reading], reac
     if len(measurements) == 0:
         return ()
     told = [k for k, name in enumerate(measurements.reading_names) if name not in measurements.absent]
+    moving, limits = _only(measurements, told), [readings[k] for k in told]
     return (
-        *_of_readings(_only(measurements, told), [readings[k] for k in told], reach),
+        *_beyond_limits(moving, limits),
+        *_radians_as_degrees(moving, limits),
+        *_at_rest(moving),
+        *_rounded(moving, limits, reach),
         *_unused(measurements),
         *_commanded(measurements),
         *(finding for setup in measurements.setups for finding in _spread(measurements.at(setup), reach)),
@@ -73,13 +82,6 @@ def table_findings(measurements: Measurements, readings: Sequence[Reading], reac
 
 
 # ---- readings
-
-
-def _of_readings(m: Measurements, readings: Sequence[Reading], reach: float) -> Iterable[Finding]:
-    yield from _beyond_limits(m, readings)
-    yield from _radians_as_degrees(m, readings)
-    yield from _at_rest(m)
-    yield from _rounded(m, readings, reach)
 
 
 def _only(m: Measurements, told: Sequence[int]) -> Measurements:
@@ -94,8 +96,7 @@ def _only(m: Measurements, told: Sequence[int]) -> Measurements:
 def _unused(m: Measurements) -> Iterable[Finding]:
     if m.unused:
         names = ", ".join(map(repr, m.unused))
-        yield Finding(
-            "warning",
+        yield Finding.warning(
             "joint-unused",
             f"{m.where}: joints that move nothing that was measured, and are left out: {names}.",
         )
@@ -108,8 +109,7 @@ def _commanded(m: Measurements) -> Iterable[Finding]:
             if OFFSET in m.uses
             else 'write latency = "free", and the delay that all have in common is found'
         )
-        yield Finding(
-            "warning",
+        yield Finding.warning(
             "commanded-readings",
             f"{m.stream.joints.where}: says what joints were commanded to do, and not where they were; {delay}, but by "
             "how much each of them is late, and what friction leaves, is in the results: log actual readings.",
@@ -159,8 +159,7 @@ def _radians_as_degrees(m: Measurements, readings: Sequence[Reading]) -> Iterabl
     moving = np.ptp(values, axis=0).max(initial=0.0) > _IN_MOTION * DEG
     fits = _excess(values / DEG, [readings[j] for j in angles]).max(initial=-np.inf) <= _SLACK
     if moving and fits and largest < 2.0 * np.pi * DEG:
-        yield Finding(
-            "warning",
+        yield Finding.warning(
             "radians-as-degrees",
             f"{m.where}: no joint turns farther than {largest:.6g} rad from zero, and multiplied by 57.3 all rows fit "
             "the limits: the numbers seem to be radians, not [deg].",
@@ -171,7 +170,7 @@ def _at_rest(m: Measurements) -> Iterable[Finding]:
     still = np.flatnonzero(np.ptp(np.concatenate([end.readings for end in m.ends]), axis=0) <= _AT_REST)
     if len(m) > 1 and still.size:
         names = ", ".join(repr(m.reading_names[j]) for j in still)
-        yield Finding("warning", "joint-at-rest", f"{m.where}: joints that never move: {names}.")
+        yield Finding.warning("joint-at-rest", f"{m.where}: joints that never move: {names}.")
 
 
 def resolutions(values: Array, readings: Sequence[Reading]) -> Array:
@@ -205,8 +204,7 @@ def _rounded(m: Measurements, readings: Sequence[Reading], reach: float) -> Iter
     factor, unit = (1.0 / DEG, "deg") if readings[j].dimension == "angle" else (1.0 / MM, "mm")
     more = int(np.count_nonzero(steps)) - 1
     others = f" and {more} other{'s' if more > 1 else ''}" if more else ""
-    yield Finding(
-        "warning",
+    yield Finding.warning(
         "rounded-readings",
         f"{m.where}: readings of {readings[j].name!r}{others} come in steps of "
         f"{steps[j] * factor:.4g} {unit}; if they are rounded, the tip is off by up to "
@@ -255,8 +253,7 @@ def _spread(m: Measurements, reach: float) -> Iterable[Finding]:
             f"the robot reaches {reach:.4g} m.",
         )
     elif typical < _TOO_NARROW * reach and motion > _IN_MOTION:
-        yield Finding(
-            "warning",
+        yield Finding.warning(
             "metres-as-millimetres",
             f"{m.where}: half of the positions are within {typical:.4g} m of their median, and the robot reaches "
             f"{reach:.4g} m: the numbers seem to be metres, not [mm], or the point was held still.",
@@ -271,8 +268,7 @@ def _repeated(m: Measurements) -> Iterable[Finding]:
     if again.size:
         listed = ", ".join(map(str, again[:_LISTED])) + (", ..." if again.size > _LISTED else "")
         many = again.size >= _COPIED * len(m)
-        yield Finding(
-            "warning",
+        yield Finding.warning(
             "copied-rows" if many else "repeated-row",
             f"{m.where}: {again.size} of {len(m)} rows repeat an earlier one to the last digit, at line {listed}"
             + (": copies count as if they had been measured." if many else "."),
@@ -315,10 +311,6 @@ def _row_keys(m: Measurements) -> set[object]:
 
 def _said(m: Measurements) -> Array:
     """Return all numbers of rows (N, n): readings, and what was measured."""
-    none = np.zeros((len(m), 0))
-    position = none if m.position is None else m.position
-    orientation = none if m.orientation is None else m.orientation.reshape(len(m), 9)
-    points = none if m.points is None else m.points
-    mark = none if m.mark is None else m.mark[:, None]
-    other = none if m.other is None else m.other.readings
-    return np.hstack([m.readings, position, orientation, m.value, points, mark, other])
+    other = None if m.other is None else m.other.readings
+    every = (m.readings, m.position, m.orientation, m.value, m.points, m.mark, other)
+    return np.hstack([x.reshape(len(m), int(np.prod(x.shape[1:]))) for x in every if x is not None])

@@ -39,6 +39,14 @@ def require(table: Table, names: Iterable[str], what: str) -> None:
         raise HeaderError(f"{table.where}: there is no column {listed} {what}; the columns are {there}.")
 
 
+def refuse_others(table: Table, known: Collection[str], what: str) -> None:
+    """Raise MeasurementError for a column that is not ``known``; ``what`` it is not, for the sentence."""
+    for name in table.columns:
+        if name not in known:
+            near = nearest(name, sorted(set(known) - table.columns.keys()))
+            raise MeasurementError(f"{table.where}: column {name!r} is not one of {what}{near}.")
+
+
 def refuse_unknown(
     table: Table,
     readings: Iterable[str],
@@ -72,15 +80,18 @@ def refuse_unknown(
 
 def stacked(table: Table, dimensions: dict[str, Dimension]) -> Array:
     """Return columns (N, k) in SI units. Raises MeasurementError for one that is not in a unit of its dimension."""
-    columns = [numbers(table, name, dimension) for name, dimension in dimensions.items()]
-    return read_only(np.stack(columns, axis=-1) if columns else np.zeros((len(table), 0)))
+    found = np.zeros((len(table), len(dimensions)))
+    for k, (name, dimension) in enumerate(dimensions.items()):
+        found[:, k] = numbers(table, name, dimension)
+    return read_only(found)
 
 
 def filled(table: Table, dimensions: dict[str, Dimension]) -> Array:
     """Return columns (N, k) in SI units, zeros where there is none. Raises as :func:`stacked` does."""
-    none = np.zeros(len(table))
-    columns = [numbers(table, name, d) if name in table.columns else none for name, d in dimensions.items()]
-    return read_only(np.stack(columns, axis=-1) if columns else np.zeros((len(table), 0)))
+    found = np.zeros((len(table), len(dimensions)))
+    told: dict[str, Dimension] = {name: d for name, d in dimensions.items() if name in table.columns}
+    found[:, [name in told for name in dimensions]] = stacked(table, told)
+    return read_only(found)
 
 
 def numbers(table: Table, name: str, dimension: Dimension) -> Array:
@@ -111,10 +122,11 @@ def orientations(table: Table) -> Array:
     require(table, QUATERNION_COLUMNS, "of the measured pose")
     quaternion = stacked(table, dict.fromkeys(QUATERNION_COLUMNS, "number"))
     norm = np.linalg.norm(quaternion, axis=-1)
-    if (off := np.abs(norm - 1.0) > _NORM_TOLERANCE).any():
-        row = int(np.argmax(off))
-        raise MeasurementError(
-            f"{table.where}:{table.lines[row]}: the quaternion has the norm {norm[row]:.6g} where 1 is allowed, "
-            f"within {_NORM_TOLERANCE:g}; the order is qw, qx, qy, qz."
-        )
+    table.refuse(
+        np.abs(norm - 1.0) > _NORM_TOLERANCE,
+        lambda row: (
+            f"the quaternion has the norm {norm[row]:.6g} where 1 is allowed, within {_NORM_TOLERANCE:g}; the order is "
+            "qw, qx, qy, qz."
+        ),
+    )
     return read_only(rotation_of_quaternion(quaternion))

@@ -48,33 +48,24 @@ def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = Fa
             torque[:, k] = numbers(table, f"{TORQUE}{reading.name}", "torque")
     told = Conditions(approach, temperature, None if np.isnan(torque).all() else read_only(torque))
     if "sigma_tau" in table.columns:
-        told = replace(told, torque_sigma=_sigmas(table))
+        sigma = numbers(table, "sigma_tau", "torque")
+        table.refuse(
+            sigma < 0.0,
+            lambda row: f"column 'sigma_tau': {sigma[row]:g} is not a standard deviation; allowed is 0 Nm or more.",
+        )
+        told = replace(told, torque_sigma=read_only(sigma))
     if temperature is None or "time" not in table.columns:
         return told
     return told.in_time(numbers(table, "time", "time"))
 
 
-def _sigmas(table: Table) -> Array:
-    found = numbers(table, "sigma_tau", "torque")
-    if np.any(found < 0.0):
-        row = int(np.argmax(found < 0.0))
-        raise MeasurementError(
-            f"{table.where}:{table.lines[row]}: column 'sigma_tau': {found[row]:g} is not a standard deviation; "
-            "allowed is 0 Nm or more."
-        )
-    return read_only(found)
-
-
 def _sides(table: Table, name: str) -> Array:
-    found = np.empty(len(table))
-    for row, word in enumerate(words(table, name) or ()):
-        if word not in _SIDES:
-            raise MeasurementError(
-                f"{table.where}:{table.lines[row]}: column {name!r}: {word!r} is not a side of approach; allowed are "
-                f"{', '.join(_SIDES)}."
-            )
-        found[row] = _SIDES[word]
-    return found
+    said = words(table, name) or ()
+    table.refuse(
+        np.array([word not in _SIDES for word in said]),
+        lambda row: f"column {name!r}: {said[row]!r} is not a side of approach; allowed are {', '.join(_SIDES)}.",
+    )
+    return np.array([_SIDES[word] for word in said])
 
 
 def refuse_lacking(robot: Robot, conditions: Conditions, where: str) -> None:

@@ -4,7 +4,6 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -13,8 +12,8 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only, rows_by_word
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension
-from calib.measurement.columns import orientations, stacked
-from calib.measurement.table import QUATERNION_COLUMNS, Table, nearest, read_table
+from calib.measurement.columns import orientations, refuse_others, stacked, words
+from calib.measurement.table import QUATERNION_COLUMNS, Table, read_table
 
 _POSITION = ("x", "y", "z")
 _COMMAND = ("command_x", "command_y", "command_z")
@@ -58,10 +57,7 @@ def cycles(table: Table) -> Cycles:
     """
     columns, where = table.columns, table.where
     known = {*_POSITION, *QUATERNION_COLUMNS, *_COMMAND, *_COMMAND_TURN, *_WORDS, "time", "group"}
-    for name in columns:
-        if name not in known:
-            near = nearest(name, sorted(known - columns.keys()))
-            raise MeasurementError(f"{where}: column {name!r} is not one of cycles{near}.")
+    refuse_others(table, known, "cycles")
     groups: list[Sequence[str]] = [("target", *_POSITION)]
     groups += [some for some in (QUATERNION_COLUMNS, _COMMAND, _COMMAND_TURN) if any(name in columns for name in some)]
     for name in itertools.chain(*groups):
@@ -73,8 +69,7 @@ def cycles(table: Table) -> Cycles:
     if "command_qw" in columns:
         dimensions: dict[str, Dimension] = dict.fromkeys(_COMMAND_TURN, "number")
         commanded_turn = read_only(rigid.rotation_of_quaternion(stacked(table, dimensions)))
-    target = cast(tuple[str, ...], columns["target"].values)
-    direction = cast(tuple[str, ...], columns["direction"].values) if "direction" in columns else None
+    target, direction = words(table, "target") or (), words(table, "direction")
     _refuse_many(target, direction, where)
     for place, rows in rows_by_word(target).items():
         for given in (commanded, commanded_turn):

@@ -32,7 +32,7 @@ from calib.measurement.kinds import WITH_TARGET, Kind, size
 from calib.measurement.measurements import ONLY_SETUP, ONLY_TOOL, Measurements
 from calib.measurement.optics import seen_by
 from calib.measurement.projection import undistort
-from calib.measurement.scalars import of_length
+from calib.measurement.scalars import Scalar
 from calib.measurement.table import Table
 from calib.robot.robot import Reading, Robot
 
@@ -153,7 +153,8 @@ def measurements_from_table(
         targets=targets,
         target=read_only_view(target),
         other=None,
-        scalars=() if offset is None else (of_length(f"length.{offset}.{unknown}"),),
+        # Millimetres; and no wire is longer than ten metres without anybody's knowing.
+        scalars=() if offset is None else (Scalar(f"length.{offset}.{unknown}", "m", size=1e-3, weak_prior=10.0),),
         uses={} if offset is None else {unknown: 0},
         group=words(table, "group"),
         where=table.where,
@@ -247,15 +248,7 @@ def _pixels(table: Table, camera: Camera) -> Array:
             f"{v:.6g}: its distortion ends the image before; is the pixel outside the image, or are k1, k2, p1, p2, k3 "
             "wrong?"
         )
-    return read_only(np.column_stack([pixels, _places(table, BOARD)]))
-
-
-def _places(table: Table, names: tuple[str, str, str]) -> Array:
-    """Return coordinates (N, 3) in m, zero where no column says one."""
-    told: dict[str, Dimension] = {name: "length" for name in names if name in table.columns}
-    places = np.zeros((len(table), 3))
-    places[:, [names.index(name) for name in told]] = stacked(table, told)
-    return places
+    return read_only(np.column_stack([pixels, filled(table, dict.fromkeys(BOARD, "length"))]))
 
 
 def _points(table: Table, kind: Kind) -> Array | None:
@@ -266,7 +259,7 @@ def _points(table: Table, kind: Kind) -> Array | None:
             f"{table.where}: column {told[0]!r} says where in the tool's frame a point was seen, and observes = "
             f"{kind!r} has no such point; leave it out."
         )
-    return read_only(_places(table, POINT)) if told else None
+    return filled(table, dict.fromkeys(POINT, "length")) if told else None
 
 
 def _paired(rows: Measurements, pair: tuple[str, ...] | None) -> Measurements:

@@ -144,7 +144,7 @@ def roles(table: RawTable) -> Roles:
     # Joined to joints, a file of points without a header: three columns that have numbers for names.
     nameless = [k for k in numeric if len(parts[k]) == 2 and parts[k][0] == "column" and parts[k][1].isdigit()]
     if len(nameless) == 3 and nameless[2] - nameless[0] == 2:
-        points.append(Point((nameless[0], nameless[1], nameless[2]), frozenset(), 1))
+        points.append(_point(*nameless))
         spoken.update(nameless)
     single = {p[0]: k for k, p in enumerate(parts) if len(p) == 1}
     pixels = (single["u"], single["v"]) if {"u", "v"} <= single.keys() else None
@@ -323,7 +323,7 @@ def joints_by_order(table: RawTable, count: int, known: Roles) -> list[Joints]:
     """Return families of ``count`` numbered columns; or, where there are none, all columns that nothing else is."""
     parts = [tokens(column.name) for column in table.columns]
     numeric = [k for k, column in enumerate(table.columns) if column.numbers is not None]
-    found = []
+    found, sizes = [], [len(family.columns) for family in _families(parts, numeric)]
     for family in _families(parts, numeric):
         axes = {k for point in known.points for k in point.columns} | {
             k for turned in known.orientations if turned.form != "quaternion" for k in turned.columns
@@ -332,7 +332,7 @@ def joints_by_order(table: RawTable, count: int, known: Roles) -> list[Joints]:
             len(family.columns) == count
             and not family.words & (_NO_POSITION | _POSE)
             and not axes & set(family.columns)
-            and not (family.words <= _QUATERNION and count == 4 and len(_families_of(parts, numeric, count)) > 1)
+            and not (family.words <= _QUATERNION and count == 4 and sizes.count(count) > 1)
         ):
             found.append(Joints(family.columns, _rank(family.words), "by their numbers", False))
     if not found:
@@ -340,10 +340,6 @@ def joints_by_order(table: RawTable, count: int, known: Roles) -> list[Joints]:
         if len(left) == count and left == list(range(left[0], left[0] + count)):
             found.append(Joints(tuple(left), 1, "by their order, as the only columns left", False))
     return found
-
-
-def _families_of(parts: Sequence[Sequence[str]], numeric: Sequence[int], count: int) -> list[Family]:
-    return [family for family in _families(parts, numeric) if len(family.columns) == count]
 
 
 def numbered_columns(table: RawTable) -> list[int]:
@@ -356,9 +352,9 @@ def numbered_columns(table: RawTable) -> list[int]:
 class Unnamed(NamedTuple):
     """One way to share out the columns of a table without a header. ``target``: may name what was touched."""
 
-    joints: tuple[int, ...]
-    point: tuple[int, int, int] | None
-    orientation: Orientation | None
+    joints: Joints
+    point: Point | None = None
+    orientations: tuple[Orientation, ...] = ()
     target: int | None = None
 
 
@@ -381,25 +377,23 @@ def without_names(table: RawTable, count: int) -> list[Unnamed]:
         own = columns[skip:]
         rest = len(own) - count
         for ahead in (True, False):
-            joints = tuple(own[:count] if ahead else own[rest:]) if rest >= 0 else ()
+            joints = Joints(tuple(own[:count] if ahead else own[rest:]), 1, "by their place", False)
             other = own[count:] if ahead else own[:rest]
             if rest == 0 and ahead:
-                found += [Unnamed(joints, None, None, k) for k in (None, *filter(names_again, _texts(table)))]
+                found += [Unnamed(joints, target=k) for k in (None, *filter(names_again, _texts(table)))]
             elif rest == 1 and names_again(other[0]):
-                found.append(Unnamed(joints, None, None, other[0]))
+                found.append(Unnamed(joints, target=other[0]))
             elif rest in (3, 6, 7):
-                x, y, z = other[:3]
-                turned: list[Orientation | None] = [None]
-                if rest == 6:
-                    turned = [Orientation(tuple(other[3:]), "angles", None, frozenset())]
-                elif rest == 7:
-                    turned = [Orientation(tuple(other[3:]), "quaternion", None, frozenset())]
-                found += [Unnamed(joints, (x, y, z), one) for one in turned]
+                form: Literal["angles", "quaternion"] = "angles" if rest == 6 else "quaternion"
+                turned = (Orientation(tuple(other[3:]), form, None, frozenset()),) if rest > 3 else ()
+                found.append(Unnamed(joints, _point(*other[:3]), turned))
             elif rest in (12, 16):
                 nine = tuple(other[4 * i + j] for i in range(3) for j in range(3))
-                if not _turns(table, nine):
-                    continue
-                found.append(
-                    Unnamed(joints, (other[3], other[7], other[11]), Orientation(nine, "matrix", "matrix", frozenset()))
-                )
+                if _turns(table, nine):
+                    matrix = Orientation(nine, "matrix", "matrix", frozenset())
+                    found.append(Unnamed(joints, _point(other[3], other[7], other[11]), (matrix,)))
     return found
+
+
+def _point(x: int, y: int, z: int) -> Point:
+    return Point((x, y, z), frozenset(), 1)

@@ -33,9 +33,3 @@ class Scalar:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
-
-
-def of_length(name: str) -> Scalar:
-    """Return the unknown part of measured lengths, or the unknown radius of a ball, by the name of its parameter."""
-    # Millimetres; and no wire is longer than ten metres without anybody's knowing.
-    return Scalar(name, "m", size=1e-3, weak_prior=10.0)

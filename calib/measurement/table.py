@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations.arguments import refuse_fields
-from calib.foundations.arrays import Array, IntArray, read_only_view
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.ranges import OF_DIMENSION, SMALLEST_CELL
@@ -74,6 +74,12 @@ class Table:
 
     def __len__(self) -> int:
         return len(self.lines)
+
+    def refuse(self, wrong: BoolArray, said: Callable[[int], str]) -> None:
+        """Raise MeasurementError for the first row that is wrong (N,), with what is ``said`` of it."""
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise MeasurementError(f"{self.where}:{self.lines[row]}: {said(row)}")
 
 
 @runtime_checkable
@@ -241,24 +247,19 @@ def table_from_arrays(
         listed = ", ".join(f"{title!r} {values.shape}" for title, values in zip(arrays, data, strict=True))
         raise MeasurementError(f"{where}: the columns are not one-dimensional and equally long: {listed}.")
     chosen = as_columns(columns)
-    return _table(_header(list(arrays), chosen, where), data, range(data[0].size if data else 0), where, chosen)
-
-
-def _table(
-    header: Sequence[_Heading], data: Sequence[npt.NDArray[Any]], rows: Sequence[int], where: str, chosen: Columns
-) -> Table:
-    if not rows:
+    header, rows = _header(list(arrays), chosen, where), np.arange(data[0].size if data else 0)
+    if not len(rows):
         raise MeasurementError(f"{where}: has a header and no rows.")
 
     def place(row: int) -> str:
-        return f"{where}:{rows[row]}"
+        return f"{where}:{row}"
 
     values = [
         _words(column, name, place) if unit is None else _si(column, unit, name, place)
         for (name, unit, read), column in zip(header, data, strict=True)
         if read
     ]
-    return _whole([heading for heading in header if heading.read], values, np.array(rows, dtype=np.intp), where, chosen)
+    return _whole([heading for heading in header if heading.read], values, rows, where, chosen)
 
 
 def _whole(

@@ -5,16 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, cast
 
-import numpy as np
-
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension
-from calib.measurement.columns import numbers, stacked
+from calib.measurement.columns import numbers, refuse_others, stacked
 from calib.measurement.conditions import conditions
-from calib.measurement.table import APPROACH, TORQUE, Table, nearest, read_table
+from calib.measurement.table import APPROACH, TORQUE, Table, read_table
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Reading, Robot
 
@@ -87,15 +85,10 @@ def touches(table: Table, readings: Sequence[Reading]) -> Touches:
         raise MeasurementError(f"{table.where}: there is no column {listed} of a {kind} test; the columns are {there}.")
     known = {*joints, *sizes, *words, "group", "direction"} | _PASSED_OVER
     known |= {f"{what}{reading.name}" for what in (APPROACH, TORQUE) for reading in readings}
-    for name in columns:
-        if name not in known:
-            near = nearest(name, sorted(known - columns.keys()))
-            raise MeasurementError(f"{table.where}: column {name!r} is not one of a {kind} test{near}.")
+    refuse_others(table, known, f"a {kind} test")
     of_shapes = {name: numbers(table, name, "length") for name in sizes}
     for name, values in of_shapes.items():
-        if (values <= 0.0).any():
-            row = int(np.argmin(values))
-            raise MeasurementError(f"{table.where}:{table.lines[row]}: column {name!r} is not positive.")
+        table.refuse(values <= 0.0, lambda _: f"column {name!r} is not positive.")  # noqa: B023 - called at once
     said = {name: cast(tuple[str, ...], columns[name].values) for name in words}
     # What belongs to a name is sought: the place of a cone, a sphere. Lengths are only counted.
     for name in ("target", "group") if kind != "length" else ():

@@ -10,7 +10,7 @@ Source: circle point analysis, B. Mooring, Z. Roth, M. Driels, *Fundamentals of 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -19,9 +19,10 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
+from calib.foundations.chance import shown_noise
 from calib.foundations.errors import IdentificationError, MeasurementError
 from calib.foundations.linear import svd
-from calib.foundations.ranges import refuse_beyond, refuse_sigma
+from calib.foundations.ranges import finite, refuse_beyond, refuse_sigma
 from calib.measurement.measurements import Measurements
 
 _MOST_STEPS = 100
@@ -131,9 +132,7 @@ def circle_axis(
 
     Raises IdentificationError when the points do not determine an axis, such as points on a line.
     """
-    x, mark = _checked(points, marks)
-    refuse_sigma(sigma, "sigma")
-    q = None if angles is None else _readings(angles, len(x))
+    x, mark, q = _checked(points, marks, angles, sigma)
     n = int(mark.max()) + 1
     if 2 * len(x) < 4 + 2 * n:
         raise IdentificationError(f"{len(x)} points on {n} circles do not determine an axis; it takes 3 on one circle.")
@@ -152,7 +151,7 @@ def circle_axis(
     radial, axial = r[: len(x)], r[len(x) :]
     y = (x - c) @ R
     rho = np.hypot(y[:, 0], y[:, 1])
-    noise = _noise(r, J, sigma)
+    noise = shown_noise(r, J.shape[0] - J.shape[1], sigma)
     turning = None
     if q is not None:
         turning = rho * _beside(_turns(x, mark, R, c) - q, mark)
@@ -184,9 +183,7 @@ def line_axis(
 
     Raises IdentificationError when the points do not determine a direction.
     """
-    x, mark = _checked(points, marks)
-    refuse_sigma(sigma, "sigma")
-    q = None if travels is None else _readings(travels, len(x))
+    x, mark, q = _checked(points, marks, travels, sigma)
     d = x - _means(x, mark)[mark]
     if len(x) <= mark.max() + 1:
         raise IdentificationError(f"{len(x)} points on {int(mark.max()) + 1} lines do not determine a direction.")
@@ -197,8 +194,7 @@ def line_axis(
     if _sense(d @ R[:, 2], q, mark, turning=False) < 0.0:
         R = R * np.array([1.0, -1.0, -1.0])
     y = d @ R
-    spare = 2 * (len(x) - int(mark.max()) - 1) - 2
-    noise = sigma if sigma is not None else float(np.sqrt(np.sum(y[:, :2] ** 2) / spare)) if spare else float("nan")
+    noise = shown_noise(y[:, :2], 2 * (len(x) - int(mark.max()) - 1) - 2, sigma)
     return PrismaticAxis(
         read_only(R[:, 2]),
         read_only(x.mean(axis=0)),
@@ -308,12 +304,7 @@ def circle_residuals(x: Array, mark: IntArray, R: Array, c: Array) -> tuple[Arra
     return (values - _means(values, mark)[mark]).T.ravel(), J
 
 
-class _Start(NamedTuple):
-    R: Array
-    c: Array
-
-
-def _first_circles(x: Array, mark: IntArray, centre: Array) -> _Start:
+def _first_circles(x: Array, mark: IntArray, centre: Array) -> tuple[Array, Array]:
     """Return an axis to begin from: the plane all circles are parallel to, and in it their common algebraic centre."""
     d = x - centre[mark]
     _, values, Vt = svd(d, full_matrices=False)
@@ -325,7 +316,7 @@ def _first_circles(x: Array, mark: IntArray, centre: Array) -> _Start:
     p = (x - centre[0]) @ R[:, :2]
     A = np.column_stack([2.0 * p, mark[:, None] == np.arange(len(centre))])
     solution = np.linalg.lstsq(A, np.sum(p**2, axis=1), rcond=None)[0]
-    return _Start(R, centre[0] + R[:, :2] @ solution[:2])
+    return R, centre[0] + R[:, :2] @ solution[:2]
 
 
 def _frame(z: Array) -> Array:
@@ -376,13 +367,6 @@ def _means(values: Array, mark: IntArray) -> Array:
     return np.stack([values[mark == k].mean(axis=0) for k in range(int(mark.max()) + 1)])
 
 
-def _noise(r: Array, J: Array, sigma: float | None) -> float:
-    if sigma is not None:
-        return sigma
-    spare = J.shape[0] - J.shape[1]
-    return float(np.sqrt(r @ r / spare)) if spare else float("nan")
-
-
 def _inverse(J: Array) -> Array:
     """Return (J^T J)^-1, or raise IdentificationError where the points leave something open."""
     scale = np.linalg.norm(J, axis=0)
@@ -392,26 +376,20 @@ def _inverse(J: Array) -> Array:
     return np.asarray(np.linalg.inv((J / scale).T @ (J / scale)) / np.outer(scale, scale))
 
 
-def _checked(points: npt.ArrayLike, marks: Sequence[object] | None) -> tuple[Array, IntArray]:
-    x = np.asarray(points, dtype=np.float64)
-    if x.ndim != 2 or x.shape[1:] != (3,) or not len(x) or not np.isfinite(x).all():
-        raise MeasurementError("the points of a sweep must be finite numbers (N, 3), in m.")
+def _checked(
+    points: npt.ArrayLike, marks: Sequence[object] | None, readings: npt.ArrayLike | None, sigma: float | None
+) -> tuple[Array, IntArray, Array | None]:
+    """Return points (N, 3), the number (N,) of each one's mark, and readings (N,), where there are any."""
+    x = finite(points, (None, 3), "the points of a sweep must be finite numbers (N, 3), in m.")
     names = [None] * len(x) if marks is None else list(marks)
     if len(names) != len(x):
         raise MeasurementError(f"there are {len(x)} points and {len(names)} marks.")
     number = {name: k for k, name in enumerate(dict.fromkeys(names))}
-    return x, np.array([number[name] for name in names], dtype=np.intp)
+    refuse_sigma(sigma, "sigma")
+    each = f"the readings of a sweep must be {len(x)} finite numbers, one for every point."
+    q = None if readings is None else finite(readings, (len(x),), each)
+    return x, np.array([number[name] for name in names], dtype=np.intp), q
 
 
 def _row(values: npt.ArrayLike) -> Array:
-    row = np.asarray(values, dtype=np.float64)
-    if row.ndim != 1 or not len(row) or not np.isfinite(row).all():
-        raise MeasurementError("the readings of a sweep must be finite numbers (N,), one or more.")
-    return row
-
-
-def _readings(values: npt.ArrayLike, n: int) -> Array:
-    q = np.asarray(values, dtype=np.float64)
-    if q.shape != (n,) or not np.isfinite(q).all():
-        raise MeasurementError(f"the readings of a sweep must be {n} finite numbers, one for every point.")
-    return q
+    return finite(values, (None,), "the readings of a sweep must be finite numbers (N,), one or more.")

@@ -3,7 +3,7 @@
 Source: a patent of the South China University of Technology on two-axis positioners and five points.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
-from calib.foundations.ranges import refuse_sigma
+from calib.foundations.ranges import finite, refuse_sigma
 from calib.foundations.units import DEG, MM
 from calib.measurement.checks import Finding
 from calib.measurement.columns import stacked
@@ -140,7 +140,7 @@ def five_point(
     if angles is not None and (len(angles) != 4 or not np.isfinite(angles).all()):
         raise JobError("angles: there must be four, of P2, P3 (rotary), P4 and P5 (tilt), in rad.")
     refuse_sigma(sigma, "sigma")
-    frames, findings = [], []
+    frames, findings = [], list[Finding]()
     for axis, i in (("rotary", 1), ("tilt", 3)):
         names = (f"P{i + 1}", f"P{i + 2}")
         if angles is not None:
@@ -160,10 +160,7 @@ def _about_z(angle: npt.ArrayLike) -> Array:
 
 
 def _point(p: npt.ArrayLike, name: str) -> Array:
-    x = np.asarray(p, dtype=np.float64)
-    if x.shape != (3,) or not np.isfinite(x).all():
-        raise MeasurementError(f"{name}: {p!r} is not a point of three finite numbers, in m.")
-    return x
+    return finite(p, (3,), f"{name}: {p!r} is not a point of three finite numbers, in m.")
 
 
 def _circle_frame(P: Array, axis: str) -> tuple[Array, tuple[float, float]]:
@@ -227,40 +224,32 @@ def _refuse_turns(
 
 def _doubts(
     axis: str, names: tuple[str, str], P: Array, radius: float, turns: tuple[float, float], sigma: float
-) -> list[Finding]:
+) -> Iterator[Finding]:
     expected = expected_circle_error(radius, [0.0, turns[0], -turns[1]], sigma) / DEG
     so = f"with {sigma / MM:.3g} mm per coordinate its direction is expected to be {expected:.2g} deg off."
-    found = []
     smallest = min(turns)
     if smallest < _SMALL_TURN - _SIGMAS * sigma / radius - _DEGENERATE:
-        found.append(
-            Finding(
-                "warning",
-                "small-turn",
-                f"{names[int(turns[1] < turns[0])]} is turned by only {smallest / DEG:.3g} deg about the {axis} "
-                f"axis, and 60 or more are advised; {so}",
-            )
+        yield Finding(
+            "warning",
+            "small-turn",
+            f"{names[int(turns[1] < turns[0])]} is turned by only {smallest / DEG:.3g} deg about the {axis} axis, and "
+            f"60 or more are advised; {so}",
         )
     if radius < _SMALL_RADIUS:
-        found.append(
-            Finding(
-                "warning",
-                "small-radius",
-                f"the mark is only {radius / MM:.3g} mm from the {axis} axis, and 100 or more are advised; {so}",
-            )
+        yield Finding(
+            "warning",
+            "small-radius",
+            f"the mark is only {radius / MM:.3g} mm from the {axis} axis, and 100 or more are advised; {so}",
         )
     sides = np.linalg.norm(P - np.roll(P, 1, axis=0), axis=1)
     height = np.linalg.norm(np.cross(P[1] - P[0], P[2] - P[0])) / sides.max()
     if height < _THIN * sides.max():
-        found.append(
-            Finding(
-                "warning",
-                "almost-collinear",
-                f"P1, {names[0]} and {names[1]} lie almost on a line, {height / MM:.3g} mm off one of "
-                f"{sides.max() / MM:.3g} mm; {so}",
-            )
+        yield Finding(
+            "warning",
+            "almost-collinear",
+            f"P1, {names[0]} and {names[1]} lie almost on a line, {height / MM:.3g} mm off one of "
+            f"{sides.max() / MM:.3g} mm; {so}",
         )
-    return found
 
 
 @checked

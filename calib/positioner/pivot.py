@@ -18,9 +18,10 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
+from calib.foundations.chance import shown_noise
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import svd
-from calib.foundations.ranges import refuse_sigma
+from calib.foundations.ranges import finite, refuse_sigma
 from calib.foundations.units import MM
 
 # A direction of p in which the link turns by less than this (rms, rad) is not determined: readings scatter by as much.
@@ -91,9 +92,7 @@ def pivot(
     kept = tuple(dict.fromkeys(names))
     own = np.array([[name == target for target in kept] for name in names], dtype=np.float64)
     share = own / own.sum(axis=0)
-    p0 = np.asarray(guess, dtype=np.float64)
-    if p0.shape != (3,) or not np.isfinite(p0).all():
-        raise MeasurementError("the guess of a tool point must be three finite numbers, in m.")
+    p0 = finite(guess, (3,), "the guess of a tool point must be three finite numbers, in m.")
     # Taking out every target's mean removes its fixed point.
     R, t = T[:, :3, :3], T[:, :3, 3]
     R_mean, t_mean = np.einsum("nm,nij->mij", share, R), share.T @ t
@@ -106,9 +105,7 @@ def pivot(
     p = p0 + inverse @ b
     c = R_mean @ p + t_mean
     residuals = (R @ p + t) - c[which]
-    spare = 3 * len(T) - rank - 3 * len(kept)
-    if sigma is None:
-        sigma = float(np.sqrt(np.sum(residuals**2) / spare)) if spare > 0 else float("nan")
+    sigma = shown_noise(residuals, 3 * len(T) - rank - 3 * len(kept), sigma)
     # Both are linear in the touches: p through the centred rows, c = mean(touch) + R_mean p.
     by_touch = np.concatenate([-inverse, np.kron(share.T, np.eye(3)) - R_mean.reshape(-1, 3) @ inverse])
     return Pivot(
@@ -124,9 +121,7 @@ def pivot(
 
 
 def _checked(placements: npt.ArrayLike, targets: Sequence[str] | None) -> tuple[Array, tuple[str, ...]]:
-    T = np.asarray(placements, dtype=np.float64)
-    if T.ndim != 3 or T.shape[1:] != (4, 4) or not len(T) or not np.isfinite(T).all():
-        raise MeasurementError("the placements of a pivot must be finite (N, 4, 4).")
+    T = finite(placements, (None, 4, 4), "the placements of a pivot must be finite (N, 4, 4).")
     if not np.allclose(rigid.inverse(T) @ T, np.eye(4), atol=1e-6):
         raise MeasurementError("the placements of a pivot must be rigid.")
     names = ("point",) * len(T) if targets is None else tuple(targets)

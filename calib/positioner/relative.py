@@ -16,6 +16,7 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
+from calib.foundations.chance import shown_noise
 from calib.foundations.errors import IdentificationError, MeasurementError
 from calib.foundations.ranges import refuse_sigma
 
@@ -81,9 +82,7 @@ def relative_base(
     R = rigid.nearest_rotation((a - centre_a).T @ (b - centre_b))
     T = rigid.placement(R, centre_a - R @ centre_b)
     residuals = a - (b @ R.T + T[:3, 3])
-    if sigma_a is None or sigma_b is None:
-        noise = float(np.sqrt(np.sum(residuals**2) / (3 * len(a) - 6)))
-    else:
-        noise = float(np.hypot(sigma_a, sigma_b))
+    stated = None if sigma_a is None or sigma_b is None else float(np.hypot(sigma_a, sigma_b))
+    noise = shown_noise(residuals, 3 * len(a) - 6, stated)
     J = np.concatenate([np.broadcast_to(np.eye(3), (len(b), 3, 3)), -rigid.skew(b)], axis=2).reshape(-1, 6)
     return RelativeBase(read_only(T), read_only(noise**2 * np.linalg.inv(J.T @ J)), read_only(residuals), noise)

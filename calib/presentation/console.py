@@ -113,7 +113,7 @@ def progress(*, shown: bool, steps: int, alike: bool = False) -> Iterator[Steps]
     """
     console = Console(stderr=True)
     if not (shown and console.is_terminal):
-        yield Steps(_silent, steps)
+        yield Steps(lambda _text, _done, _total: None, steps)
         return
     from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn  # noqa: PLC0415
 
@@ -150,7 +150,3 @@ def printable(text: str) -> str:
     Names in it can then neither break the line nor command the terminal.
     """
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-
-
-def _silent(_text: str, _done: int, _total: int) -> None:
-    pass

@@ -109,7 +109,7 @@ def _table(lines: Sequence[JobLine]) -> Sheet:
                 for value in ((0.0, 0.0, 0.0) if error is None else (error.before, error.after, error.largest))
             ]
             what = ("", "", "") if error is None else (error.quantity.replace("_", " "), line.data, str(error.n))
-            seen = (_rank(line), _number(line.outliers))
+            seen = (_rank(line), "" if line.outliers is None else str(line.outliers))
             link = "" if line.report is None else quote(line.report)
             rows.append(Row((line.name, line.word, *seen, *what, *values), strong=line.word != "trusted", link=link))
     columns = ("job", "verdict", ">rank", ">outliers", "error", "data", ">n", *figures)
@@ -150,7 +150,3 @@ def _shown(error: QuantityError) -> tuple[str, str, str]:
 
 def _rank(line: JobLine) -> str:
     return "" if line.rank is None else f"{line.rank}/{line.parameters}"
-
-
-def _number(value: int | None) -> str:
-    return "" if value is None else str(value)

@@ -100,8 +100,10 @@ def _blocks(one: HandEye) -> tuple[Sheet | Prose, ...]:
             if value != 0.0 or sigma != 0.0
         ),
     ]
+    told = "z of the camera looks forward, x to the right"
+    told += "; the pose goes with the calibrated arm, not with the nominal one" if one.on_tip else ""
     return (
-        Sheet.of(f"{one.camera} in {one.parent}", ("what", "value"), rows, _told(one)),
+        Sheet.of(f"{one.camera} in {one.parent}", ("what", "value"), rows, told),
         Prose(("The same for others: a matrix, ROS 2, a URDF, and ROS's camera_info.",)),
         Prose(tuple(line for text in others(one) for line in text.split("\n")), "code"),
     )
@@ -109,11 +111,6 @@ def _blocks(one: HandEye) -> tuple[Sheet | Prose, ...]:
 
 def _or_unknown(sigma: float, digits: str = ".3f") -> str:
     return "not identifiable" if isnan(sigma) else format(sigma, digits)
-
-
-def _told(one: HandEye) -> str:
-    told = "z of the camera looks forward, x to the right"
-    return f"{told}; the pose goes with the calibrated arm, not with the nominal one" if one.on_tip else told
 
 
 def others(one: HandEye) -> tuple[str, ...]:

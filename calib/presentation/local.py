@@ -9,6 +9,7 @@ from tornado.httpserver import HTTPServer
 from tornado.web import Application, HTTPError, RequestHandler
 
 from calib.foundations.errors import OutputError
+from calib.foundations.files import sentences
 
 ADDRESS = "127.0.0.1"
 # A page of another site may send its readers here by a name of its own; it is not answered.
@@ -43,10 +44,8 @@ async def listening(routes: Sequence[Any], port: int, **settings: Any) -> AsyncI
     app = Application(log_function=lambda _: None, **settings)
     app.add_handlers(_OURSELVES, list(routes))
     server = HTTPServer(app, max_body_size=_LARGEST_BODY)
-    try:
+    with sentences(f"port {port}", OutputError, "cannot be listened on"):
         listener = socket.create_server((ADDRESS, port))
-    except OSError as e:
-        raise OutputError(f"port {port}: cannot be listened on ({e.strerror}).") from e
     listener.setblocking(False)
     server.add_socket(listener)
     try:

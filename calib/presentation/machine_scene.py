@@ -1,7 +1,8 @@
-"""A calibrated machine in space, without measurements: its joints move one after the other, beside the nominal arm."""
+"""Calibrated machines in space, without measurements: one beside its nominal arm, and a cell of two."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,15 +10,23 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import PoseError, RobotError
 from calib.foundations.units import DISPLAY_OF
 from calib.machine.calibrated import CalibratedMachine
-from calib.presentation.scene import Scene, magnification
+from calib.presentation.scene import Mark, Scene, magnification
 from calib.robot.conditions import Conditions, ordinary
-from calib.robot.links import Arm, arm_of
+from calib.robot.deviation import axis_frame
+from calib.robot.links import Arm, arm_of, link_placements
+from calib.robot.load import with_document
 from calib.robot.robot import Deviations, Robot
 from calib.robot.sampling import closing
+from calib.robot.urdf import parse_urdf
+
+if TYPE_CHECKING:
+    from calib.compensation.cell import CalibratedCell
 
 # Where joints without limits are led to, in rad and m, and in how many steps.
 _WAY = {"angle": np.pi, "length": 0.5}
 _STEPS = 9
+# Half the length of a drawn axis, in m.
+_AXIS = 0.6
 
 
 def machine_scene(model: CalibratedMachine, mesh_roots: Sequence[Path] = ()) -> Scene:
@@ -48,7 +57,40 @@ def machine_scene(model: CalibratedMachine, mesh_roots: Sequence[Path] = ()) -> 
         measured=points,
         before=points,
         after=points,
-        scales=(1.0, 1.0),
+        judged=False,
+    )
+
+
+def cell_scene(found: "CalibratedCell", title: str, mesh_roots: Sequence[Path] = ()) -> Scene:
+    """Return the scene of a cell, in the arm's base link: the placed machine's joints move, one after the other."""
+    model, names = found.model, found.cell.links
+    document = parse_urdf(found.cell.document, title)
+    robot = with_document(model.robot, document, names, found.cell.joints)
+    rows, readings = sweeps(robot)
+    arm = arm_of(robot, robot.no_deviations(), readings, found.root)
+    links = link_placements(document, arm)
+    axes = []
+    for i in robot.moving:
+        joint = next(joint for joint in document.joints if joint.name == robot.chain[i].name)
+        T = found.root @ links[joint.child][0] @ axis_frame(joint.axis)
+        axes.append(Mark("axes", joint.name, "axis", T, _AXIS))
+    tip = found.root @ links[names[model.robot.tip]]
+    tools = {name: tool[:3, 3] for name, tool in model.tools.items()}
+    points = (tip @ next(iter(model.tools.values())))[:, :3, 3]
+    return Scene(
+        title=title,
+        urdf=document,
+        mesh_roots=tuple(mesh_roots),
+        calibrated=arm,
+        nominal=None,
+        apart=1.0,
+        tools=tools,
+        tip=names[model.robot.tip],
+        rows=rows,
+        measured=points,
+        before=points,
+        after=points,
+        marks=tuple(axes),
         judged=False,
     )
 

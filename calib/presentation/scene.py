@@ -18,19 +18,10 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, translation
 from calib.foundations.units import MM
+from calib.presentation import viewer
 from calib.presentation.meshes import Rgb, Triangles, balls, creased, joined_by_colour, moved, primitive, sticks
 from calib.presentation.page_files import page_file, template
 from calib.presentation.thin_meshes import thin_mesh
-from calib.presentation.viewer import (
-    Command,
-    Look,
-    asset,
-    packed,
-    set_lines,
-    set_property,
-    set_transform,
-    set_triangles,
-)
 from calib.presentation.visuals import LARGEST, MOST_SHAPES, Shape, visuals
 from calib.robot.links import Arm, link_placements
 from calib.robot.mesh_counts import MOST_CORNERS
@@ -117,7 +108,7 @@ class Scene:
     measured: Array
     before: Array
     after: Array
-    scales: tuple[float, float]
+    scales: tuple[float, float] = (1.0, 1.0)
     marks: tuple[Mark, ...] = ()
     judged: bool = True
     joints: tuple[tuple[str, str], ...] = ()
@@ -234,8 +225,10 @@ def render_scene(scene: Scene) -> str:
     return template(_PAGE).render(
         title=scene.title,
         legend=_legend(scene, links, errors, edges, cell),
-        licences=(asset("LICENSE") + asset("dist/main.min.js.THIRD_PARTY_LICENSES.json")).replace("</", "< /"),
-        viewer=asset("dist/main.min.js"),
+        licences=(viewer.asset("LICENSE") + viewer.asset("dist/main.min.js.THIRD_PARTY_LICENSES.json")).replace(
+            "</", "< /"
+        ),
+        viewer=viewer.asset("dist/main.min.js"),
         script=page_file(_SCRIPT),
         page=json.dumps(page, separators=(",", ":")).replace("<", "\\u003c"),
     )
@@ -468,16 +461,16 @@ def _labels(scene: Scene) -> list[tuple[str, str]]:
 
 def _commands(drawings: Sequence[_Drawing], grid: Array) -> list[str]:
     """Return meshcat's commands, packed as its server sends them, in base64."""
-    commands: list[Command] = [
+    commands: list[viewer.Command] = [
         # The page paints what lies behind: cheaper than a texture over the whole window in every picture.
-        set_property(("Background",), "visible", False),
-        set_property(("Axes",), "visible", False),
+        viewer.set_property(("Background",), "visible", False),
+        viewer.set_property(("Axes",), "visible", False),
         # meshcat's lights together bleach a white robot on white paper.
-        set_property(("Lights", "AmbientLight", "<object>"), "intensity", 0.45),
-        set_lines(("Grid",), grid, Look("LineBasicMaterial", _hex(_GRID))),
+        viewer.set_property(("Lights", "AmbientLight", "<object>"), "intensity", 0.45),
+        viewer.set_lines(("Grid",), grid, viewer.Look("LineBasicMaterial", _hex(_GRID))),
     ]
     for drawing in drawings:
-        commands.append(set_transform(drawing.path, drawing.T))
+        commands.append(viewer.set_transform(drawing.path, drawing.T))
         # Transparent things are drawn last: frames without depth show through the links they sit in.
         frame = drawing.path[0] == "frames"
         fading = frame or drawing.opacity < 1.0
@@ -486,9 +479,9 @@ def _commands(drawings: Sequence[_Drawing], grid: Array) -> list[str]:
                 material: Literal["MeshBasicMaterial", "MeshLambertMaterial"] = (
                     "MeshBasicMaterial" if drawing.flat else "MeshLambertMaterial"
                 )
-                look = Look(material, _hex(part.rgb), drawing.opacity, fading, not frame)
-                commands.append(set_triangles((*drawing.path, str(i)), part.vertices, part.faces, look))
-    return packed(commands)
+                look = viewer.Look(material, _hex(part.rgb), drawing.opacity, fading, not frame)
+                commands.append(viewer.set_triangles((*drawing.path, str(i)), part.vertices, part.faces, look))
+    return viewer.packed(commands)
 
 
 def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges: Array, cell: float) -> dict[str, Any]:

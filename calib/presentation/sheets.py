@@ -11,7 +11,6 @@ from calib.assessment.metrics import Metrics
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.units import DISPLAY, MICRO, MM, MRAD, Display
 from calib.identification.fit import Fit
-from calib.identification.parameters import Parameter
 from calib.measurement.kinds import UNIT_OF, size
 from calib.presentation.report.document import Row, Sheet
 from calib.robot.terms import KINDS
@@ -206,7 +205,8 @@ def rank_sentences(fit: Fit) -> tuple[str, ...]:
         "nearest": "among all equal fits, the machine nearest to the nominal one was taken",
         "minimal": f"{count(held, 'parameter was', 'parameters were')} held at the nominal value",
     }[fit.policy]
-    done = "where priors do not decide, " + done if _priors(fit.parameters) else done
+    if any(parameter.prior is not None for parameter in fit.parameters):
+        done = f"where priors do not decide, {done}"
     weak_rank = fit.rank - fit.numerical_rank
     too_weak = f", {weak_rank} of them too weakly to use" if weak_rank > 0 else ""
     return (
@@ -256,7 +256,3 @@ def correlation(fit: Fit) -> tuple[IntArray, Array]:
     C = fit.spread.of(seen)
     sigma = np.sqrt(np.diag(C))
     return seen, np.asarray(C / np.outer(sigma, sigma))
-
-
-def _priors(parameters: Sequence[Parameter]) -> bool:
-    return any(parameter.prior is not None for parameter in parameters)

@@ -14,15 +14,8 @@ from calib.assessment.metrics import metrics
 from calib.foundations.arguments import checked
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NullDirection
+from calib.presentation import sheets
 from calib.presentation.report.document import Row, Sheet
-from calib.presentation.sheets import (
-    count,
-    error_sheet,
-    noise_sentences,
-    parameter_sheet,
-    prior_sentences,
-    rank_sentences,
-)
 
 WIDTH = 80
 # A first column narrower than this is no help: such a table is then wider than the terminal.
@@ -43,12 +36,12 @@ def fit_sheets(fit: Fit) -> tuple[Sheet, Sheet]:
             for when, residuals in (("before", fit.nominal_residuals), ("after", fit.residuals))
         }
     }
-    return error_sheet(figures), parameter_sheet(fit)
+    return sheets.error_sheet(figures), sheets.parameter_sheet(fit)
 
 
 def fit_sentences(fit: Fit) -> tuple[str, ...]:
     """Return the noise of a fit, its learned priors and what the data determine, in sentences."""
-    return (*noise_sentences(fit), *prior_sentences(fit), *rank_sentences(fit))
+    return (*sheets.noise_sentences(fit), *sheets.prior_sentences(fit), *sheets.rank_sentences(fit))
 
 
 def plain(renderable: RenderableType) -> str:
@@ -132,4 +125,7 @@ def null_space_lines(
     lines.add_column(overflow="fold")
     for direction in null_space:
         lines.add_row(" -", Text(str(direction)))
-    return [Text(f"The null space has {count(directions or len(null_space), 'direction', 'directions')}:"), lines]
+    return [
+        Text(f"The null space has {sheets.count(directions or len(null_space), 'direction', 'directions')}:"),
+        lines,
+    ]

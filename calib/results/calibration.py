@@ -1,7 +1,9 @@
 """A fit, judged: its machine, its errors before and after, whether it may be trusted, which rows lie off."""
 
+import platform
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -16,18 +18,19 @@ from calib.assessment.outliers import Outliers, outliers
 from calib.assessment.own_base import tables_with_own_base
 from calib.assessment.trust import remarks, verdict
 from calib.foundations.arguments import checked
+from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DISPLAY, MM
+from calib.foundations.version import __version__
 from calib.identification.fit import Fit
 from calib.identification.identify import at_clocks, residuals_of
 from calib.identification.optics_choice import OpticsChoice
 from calib.identification.total_differential import Trace
 from calib.machine.calibrated import CalibratedMachine, machine_of
-from calib.machine.in_urdf import machine_in_urdf
+from calib.machine.in_urdf import fit_in_urdf, machine_in_urdf
 from calib.machine.residual_model import ResidualModel
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
-from calib.results.in_urdf import InUrdf, judged_in_urdf
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +44,41 @@ class LevelReport:
     free: int
     rank: int
     metrics: Mapping[str, Metrics]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InUrdf:
+    """The best fit that a URDF holds, base and tool fitted with it, and its metrics by use and quantity.
+
+    ``metrics`` is empty where joints of the URDF take other readings, so that nothing can be said of it alone.
+    """
+
+    __repr__ = brief
+
+    fit: Fit
+    metrics: Mapping[str, Mapping[str, Metrics]]
+
+
+def judged_in_urdf(
+    fit: Fit, own: Sequence[Measurements], uses: Sequence[tuple[str, Sequence[Measurements]]]
+) -> InUrdf | None:
+    """Return what the URDF of a fit reaches on the tables of each use; None where it holds the whole machine.
+
+    ``own``: the tables to identify from.
+    """
+    alone = fit_in_urdf(fit, own)
+    if alone is None and not (fit.robot.loops or fit.robot.couplings):
+        return None
+    found = fit if alone is None else alone
+    if found.robot.loops or found.robot.couplings:
+        return InUrdf(found, {})
+    return InUrdf(
+        found,
+        {
+            use: metrics((data.kind, r) for data, r in zip(some, residuals_of(found, some, found.machine), strict=True))
+            for use, some in uses
+        },
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +97,7 @@ class Origin:
 
 
 FROM_PYTHON = Origin()
+_LIBRARIES = ("pin", "numpy", "scipy", "meshcat", "trimesh")
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -202,7 +241,7 @@ def assess(
         tuple(sets),
         figures,
         (*stopped, *judged_fit.doubts),
-        (*findings, *remarks(fit), *(Finding("warning", "own-base", one.sentence) for one in moved if not one.wide)),
+        (*findings, *remarks(fit), *(Finding.warning("own-base", one.sentence) for one in moved if not one.wide)),
         found,
         in_urdf,
         trace=trace,
@@ -215,8 +254,7 @@ def assess(
 def _not_held_out(own: Sequence[Measurements], validation: Sequence[Measurements]) -> list[Finding]:
     """Find tables that the model is both fitted to and judged by."""
     return [
-        Finding(
-            "warning",
+        Finding.warning(
             "not-held-out",
             f"{table.where}: the model is fitted to these rows as well; as a validation it proves nothing.",
         )
@@ -234,3 +272,19 @@ def _not_held_out(own: Sequence[Measurements], validation: Sequence[Measurements
 def _not_stopped(trace: Trace) -> str:
     largest = trace.iterations[-1].largest / MM
     return f"The total differential ended because {trace.reason}, with a largest error of {largest:.3g} mm."
+
+
+def versions() -> dict[str, str | None]:
+    """Return the versions of this package, of Python and of the libraries that matter; None where one is not known."""
+    return {
+        "calib": __version__,
+        "python": platform.python_version(),
+        **{name: _version(name) for name in _LIBRARIES},
+    }
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:  # conda and system packages know it by another name
+        return None

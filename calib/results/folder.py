@@ -14,9 +14,10 @@ from calib.assessment.hand_eye import hand_eyes
 from calib.assessment.metrics import Metrics
 from calib.assessment.outliers import Outliers
 from calib.foundations.arguments import checked
+from calib.foundations.arrays import Array
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
-from calib.foundations.files import LARGEST_JSON, read_bytes
+from calib.foundations.files import LARGEST_JSON, read_bytes, sentences
 from calib.foundations.folders import reading_folder, real_folder, refuse_unwritable, write_folder
 from calib.foundations.json_text import NotJsonError, document, parse_json
 from calib.foundations.units import DEG, MM
@@ -42,12 +43,10 @@ from calib.presentation.machine_scene import machine_scene
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.scene import render_scene
-from calib.results.calibration import Calibration, assess
-from calib.results.in_urdf import InUrdf
+from calib.results.calibration import Calibration, InUrdf, assess, versions
 from calib.results.report import report_of
 from calib.results.result_file import ResultFile
 from calib.results.scene import scene_of
-from calib.results.versions import versions
 from calib.robot import dh
 from calib.robot.sources import usual_mesh_roots
 
@@ -79,7 +78,7 @@ def refuse_folder(out: Path, inputs: Sequence[Path] = ()) -> Path:
     ``inputs``: files that are never replaced. Returns the folder that is meant where ``out`` is a link to one.
     """
     out = real_folder(out)
-    try:
+    with sentences(out, OutputError, "cannot hold the results"):
         for file in inputs:
             if out in (file.resolve(), *file.resolve().parents):
                 raise OutputError(f"{out}: holds the input {file.name!r}, which results never replace; choose another.")
@@ -89,10 +88,6 @@ def refuse_folder(out: Path, inputs: Sequence[Path] = ()) -> Path:
         _refuse_foreign(out)
         if out.is_mount():
             raise OutputError(f"{out}: is a mount point, which cannot be replaced; choose a folder inside.")
-    except OSError as e:
-        if isinstance(e, OutputError):
-            raise
-        raise OutputError(f"{out}: cannot hold the results ({e.strerror}).") from e
     return out
 
 
@@ -207,7 +202,7 @@ def result_json(found: Calibration) -> str:
 
 def result(found: Calibration) -> dict[str, Any]:
     """Return what ``result.json`` holds: plain data, lengths in m and angles in rad, None for what is not known."""
-    fit = found.fit
+    fit, own, frames = found.fit, found.fit.measurements[0], found.fit.machine.frames
     names = {judged.data.where: judged.file for judged in found.sets}
     files = [names.get(data.where, data.where) for data in fit.measurements]
     contents: dict[str, Any] = {
@@ -236,36 +231,17 @@ def result(found: Calibration) -> dict[str, Any]:
         "parameters": fit.records(),
         "covariance": fit.spread.of(fit.told_together).tolist(),
         "singular_values": fit.singular_values.tolist(),
-        "noise": [
-            {
-                "measurements": files[noise.measurements],
-                "quantity": noise.quantity,
-                "instrument": noise.instrument,
-                "model": noise.model,
-                "degrees_of_freedom": noise.degrees_of_freedom,
-                "chi_square": noise.chi_square,
-            }
-            for noise in fit.noise
-        ],
+        "noise": [asdict(noise) | {"measurements": files[noise.measurements]} for noise in fit.noise],
         "together": [
             {"measurements": file, "length": own.length, "angle": own.angle, "alone": math.sqrt(own.variance)}
             for file, own in zip(files, fit.together, strict=False)
             if own is not None
         ],
         "outliers": _worst(found.outliers),
-        "base": PoseEntry.of(fit.machine.frames.base).model_dump(),
-        "setups": {
-            name: PoseEntry.of(base).model_dump()
-            for name, base in zip(fit.measurements[0].setups, fit.machine.frames.bases, strict=True)
-        },
-        "tools": {
-            name: PoseEntry.of(tool).model_dump()
-            for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
-        },
-        "targets": {
-            name: PoseEntry.of(target).model_dump()
-            for name, target in zip(fit.measurements[0].targets, fit.machine.frames.targets, strict=True)
-        },
+        "base": _pose(frames.base),
+        "setups": dict(zip(own.setups, map(_pose, frames.bases), strict=True)),
+        "tools": dict(zip(own.tools, map(_pose, frames.tools), strict=True)),
+        "targets": dict(zip(own.targets, map(_pose, frames.targets), strict=True)),
         "solver": {
             "converged": fit.converged,
             "evaluations": fit.evaluations,
@@ -281,7 +257,7 @@ def result(found: Calibration) -> dict[str, Any]:
         "cameras": {
             one.camera: {
                 "on": one.parent,
-                "pose": PoseEntry.of(one.pose).model_dump(),
+                "pose": _pose(one.pose),
                 "pose_sigmas": {"position": one.pose_sigmas[:3].tolist(), "turn": one.pose_sigmas[3:].tolist()},
                 "lens": one.lens._asdict(),
                 "sigmas": dict(zip(one.lens._fields, one.sigmas.tolist(), strict=True)),
@@ -303,6 +279,10 @@ def result(found: Calibration) -> dict[str, Any]:
     }
     plain: dict[str, Any] = _strict(contents)
     return plain
+
+
+def _pose(T: Array) -> dict[str, Any]:
+    return PoseEntry.of(T).model_dump()
 
 
 def _in_urdf(found: InUrdf) -> dict[str, Any]:

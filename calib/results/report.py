@@ -12,8 +12,7 @@ from calib.presentation.report import sections
 from calib.presentation.report.document import Report, Section
 from calib.presentation.report.in_time import in_time
 from calib.presentation.report.outlying import outlier_section
-from calib.results.calibration import Calibration
-from calib.results.versions import versions
+from calib.results.calibration import Calibration, versions
 
 SECTIONS: tuple[Callable[[Calibration], Section | None], ...] = (
     lambda c: sections.errors(c.metrics, None if c.in_urdf is None else (c.in_urdf.metrics, c.in_urdf.fit.converged)),

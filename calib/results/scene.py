@@ -60,6 +60,7 @@ def scene_of(found: Calibration) -> Scene:
     nominal, apart = led_apart(
         robot, fit.deviations, readings, conditions, lambda times: _beyond(*bases, times) @ root, scales[0]
     )
+    tools = dict(zip(fit.measurements[0].tools, fit.machine.frames.tools[:, :3, 3], strict=True))
     marks, notes = _targets(found, extent)
     marks += _cameras_and_boards(found, extent)
     if with_marks and not with_points:
@@ -71,16 +72,8 @@ def scene_of(found: Calibration) -> Scene:
         calibrated=calibrated,
         nominal=nominal,
         apart=apart,
-        tools={
-            name: tool[:3, 3]
-            for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
-            if name not in fit.tool_tips
-        },
-        tools_on={
-            name: (fit.tool_tips[name], tool[:3, 3])
-            for name, tool in zip(fit.measurements[0].tools, fit.machine.frames.tools, strict=True)
-            if name in fit.tool_tips
-        },
+        tools={name: point for name, point in tools.items() if name not in fit.tool_tips},
+        tools_on={name: (fit.tool_tips[name], point) for name, point in tools.items() if name in fit.tool_tips},
         notes=notes,
         tip=robot.tip,
         rows=tuple(f"{judged.file} line {line}" for judged in sets for line in judged.data.lines),

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields, refuse_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
@@ -41,6 +41,7 @@ class Conditions:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        own_fields(self)
 
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""

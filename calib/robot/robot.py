@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arguments import checked, refuse_fields
+from calib.foundations.arguments import checked, own_fields, refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
@@ -56,6 +56,7 @@ class Coupling:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        own_fields(self)
         refuse_beyond(list(self.drivers.values()), "coupling.drivers", f"coupling of {self.joint!r}", RobotError)
         # Whether it is an angle or a length, the joint says; that of a length has the wider range.
         key = "coupling.offset of what slides"
@@ -112,6 +113,7 @@ class Deviations:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        own_fields(self)
         for name, shape in (("placements", (None, 6)), ("offsets", (None,)), ("terms", (None,))):
             refuse_shape(getattr(self, name), shape, f"deviations: {name}", RobotError)
 

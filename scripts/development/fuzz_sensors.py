@@ -11,9 +11,8 @@ import typer
 from calib.cli import app
 from calib.foundations.arrays import Array
 from calib.foundations.errors import CalibError
-from calib.job.board import board_toml
 from calib.job.photographs import import_photographs
-from calib.job.read import read_board
+from calib.job.read import board_toml, read_board
 from calib.measurement.formats.images import detector, marker_bits, opencv, read_image
 from calib.measurement.formats.lens_files import read_lens
 from calib.measurement.formats.recordings import read_topic, topics

@@ -19,7 +19,7 @@ from calib.identification.identify import identify
 from calib.job.inputs import load
 from calib.machine.calibrated import machine_of
 from calib.measurement.touches import read_touches
-from calib.presentation.performance_tables import performance_sheet
+from calib.presentation.command_tables import performance_sheet
 from calib.presentation.tables import plain, sheet_table
 
 CASE = Path(__file__).resolve().parents[2] / "robots" / "arm_cmm"

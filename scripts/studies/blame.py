@@ -27,7 +27,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import calib
-from calib.assessment.blame import named_cause
+from calib.assessment.blame import blame
 from calib.assessment.judged import JudgedSet, Use
 from calib.foundations.linear import one_thread
 from calib.identification.identify import residuals_of
@@ -84,7 +84,8 @@ def job(seed: int, cause: str, *, rendered: bool = False) -> str:
         priors=Priors(1e-3, 1e-3),
     )
     fit = calib.identify(model, kept)
-    return named_cause(fit, _judged(fit, kept, held_out)) or "cannot tell"
+    found = blame(fit, _judged(fit, kept, held_out))
+    return (found and found.named) or "cannot tell"
 
 
 def _judged(fit: calib.Fit, kept: calib.Measurements, held_out: calib.Measurements) -> list[JudgedSet]:

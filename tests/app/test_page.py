@@ -252,7 +252,7 @@ def test_photographs_of_a_board_calibrate_an_arm(fresh: Page, tmp_path: Path) ->
     assert fresh.evaluate("state.sentence") == ""
     why = fresh.evaluate("byId('why').textContent")
     assert "the tip is tool0; 'wrist_3_link', 'ee_link' would do as well" in why
-    assert "corners of 8 photographs" in why
+    assert "corners of 8 of 8 photographs" in why
     assert "times better" in calibrated(fresh)
     assert fresh.trouble == []
 

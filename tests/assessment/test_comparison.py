@@ -26,7 +26,7 @@ from calib.assessment.validation import ChosenRows, HeldOut, cross_validate, hel
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.identification.identify import residuals_of
 from calib.identification.targets import Target
-from calib.presentation.comparison_tables import comparison_sentences, comparison_sheet
+from calib.presentation.command_tables import comparison_sentences, comparison_sheet
 from calib.robot.terms.harmonic import harmonic
 from scripts.studies import model_comparison as script
 from tests.support import machines, touching
@@ -281,10 +281,11 @@ def test_a_table_may_be_held_out_as_a_whole() -> None:
     parts = [data.subset(range(39)), data.subset([39])]
     found = cross_validate(model, parts, count=4, losses=["linear", "linear"], model_sigmas=[2e-4, 2e-4])
     np.testing.assert_allclose(np.concatenate(found.residuals), whole.residuals[0], rtol=0, atol=1e-9)
-    kept = ChosenRows.of(parts, [np.ones(39, dtype=np.bool_), np.zeros(1, dtype=np.bool_)])
+    rows = ChosenRows(tuple(parts), [1e-4, None], ["huber", "linear"])
+    kept = rows.some([np.ones(39, dtype=np.bool_), np.zeros(1, dtype=np.bool_)])
     assert kept.which == (0,)
-    assert kept.losses(["huber", "linear"]) == ["huber"]
-    assert kept.sigmas([1e-4, None]) == [1e-4]
+    assert kept.losses == ["huber"]
+    assert kept.model_sigmas == [1e-4]
 
 
 def test_a_tool_that_is_in_one_group_alone_cannot_be_judged() -> None:

@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from calib.job.run import run
 from calib.measurement.table import table_from_arrays
 from calib.measurement.touches import Touches, read_touches, touches
 from calib.positioner.pivot import pivot
-from calib.presentation.performance_tables import performance_sheet
+from calib.presentation.command_tables import performance_sheet
 from calib.presentation.tables import plain, sheet_table
 from calib.results.folder import write_results
 
@@ -45,24 +45,28 @@ AXES = np.vstack([np.eye(3), -np.eye(3)])
 # ---- from points
 
 
+def values(figures: Sequence[PerformanceFigure]) -> dict[str, float]:
+    return {figure.name: figure.value for figure in figures}
+
+
 def test_single_point_articulation_by_hand() -> None:
     # Six points 3 mm either way along the axes: all 3 mm off the mean, and 2 sqrt(6 * 9 / 5) mm.
     found = single_point_articulation([0.4, 0.2, 0.1] + 3e-3 * AXES, "near")
-    assert found.largest == pytest.approx(3e-3, abs=1e-15)
-    assert found.two_s == pytest.approx(2e-3 * np.sqrt(54 / 5), abs=1e-15)
-    assert (found.place, found.n) == ("near", 6)
+    assert values(found)["largest"] == pytest.approx(3e-3, abs=1e-15)
+    assert values(found)["2s"] == pytest.approx(2e-3 * np.sqrt(54 / 5), abs=1e-15)
+    assert {(figure.place, figure.n) for figure in found} == {("near", 6)}
     with pytest.raises(MeasurementError, match="two or more"):
         single_point_articulation(np.zeros((1, 3)))
 
 
 def test_volumetric_lengths_by_hand() -> None:
-    found = volumetric_lengths(np.array([0.300, 0.301, 0.598, 0.602]), np.array([0.3, 0.3, 0.6, 0.6]))
-    assert found.largest in (pytest.approx(-2e-3), pytest.approx(2e-3))
-    assert found.range == pytest.approx(4e-3)
-    assert found.two_s == pytest.approx(2e-3 * np.sqrt((0 + 1 + 4 + 4) / 4))
+    found = values(volumetric_lengths(np.array([0.300, 0.301, 0.598, 0.602]), np.array([0.3, 0.3, 0.6, 0.6])))
+    assert found["largest"] in (pytest.approx(-2e-3), pytest.approx(2e-3))
+    assert found["range"] == pytest.approx(4e-3)
+    assert found["2s"] == pytest.approx(2e-3 * np.sqrt((0 + 1 + 4 + 4) / 4))
     # An error of scale shows: all lengths 1 mm too short have no range, and a 2s.
-    short = volumetric_lengths(np.full(5, 0.299), np.full(5, 0.3))
-    assert (short.largest, short.range, short.two_s) == (pytest.approx(-1e-3), pytest.approx(0.0), pytest.approx(2e-3))
+    short = values(volumetric_lengths(np.full(5, 0.299), np.full(5, 0.3)))
+    assert short == {"largest": pytest.approx(-1e-3), "range": pytest.approx(0.0), "2s": pytest.approx(2e-3)}
 
 
 def test_probing_by_hand() -> None:
@@ -70,18 +74,17 @@ def test_probing_by_hand() -> None:
     # least-squares radius stays: the fit is symmetric, and the mean of 2 * 20 - 4 * 10 is nothing.
     radii = 15.05e-3 + np.array([-10e-6, -10e-6, 20e-6] * 2)
     found = probing([0.1, 0.2, 0.3] + radii[:, None] * AXES, diameter=24e-3, ball=6e-3, place="far")
-    assert found.size == pytest.approx(0.1e-3, abs=1e-12)
-    assert found.form == pytest.approx(30e-6, abs=1e-12)
-    assert [figure.name for figure in found.figures] == ["PSize.Sph.1x6", "PForm.Sph.1x6"]
+    assert [figure.name for figure in found] == ["PSize.Sph.1x6", "PForm.Sph.1x6"]
+    assert [figure.value for figure in found] == pytest.approx([0.1e-3, 30e-6], abs=1e-12)
 
 
 def test_articulated_location_by_hand() -> None:
     # Centres on a circle of 40 um radius, one inside it; spheres of different size have centres all the same.
     centres = 40e-6 * np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, 0, 1], [0.1, 0.2, 0.3]])
     sizes = 15e-3 + 1e-6 * np.arange(5)
-    found = articulated_location([c + r * AXES[:5] for c, r in zip(centres, sizes, strict=True)])
-    assert found.diameter == pytest.approx(80e-6, abs=1e-12)
-    assert found.figures == (PerformanceFigure("articulated location", "sphere", 5, "LDia.5x5", found.diameter),)
+    (found,) = articulated_location([c + r * AXES[:5] for c, r in zip(centres, sizes, strict=True)])
+    assert found.value == pytest.approx(80e-6, abs=1e-12)
+    assert found == PerformanceFigure("articulated location", "sphere", 5, "LDia.5x5", found.value)
 
 
 def test_where_the_arm_stands_and_in_which_order_it_touched_do_not_matter() -> None:
@@ -89,8 +92,8 @@ def test_where_the_arm_stands_and_in_which_order_it_touched_do_not_matter() -> N
     points = [15e-3 * AXES + 1e-5 * rng.standard_normal((6, 3)) for _ in range(5)]
     moved = [p @ Rotation.random(random_state=2).as_matrix().T + [3.0, -2.0, 1.0] for p in points]
     for a, b in ((points, moved), (points, [rng.permutation(p) for p in points[::-1]])):
-        assert articulated_location(a).diameter == pytest.approx(articulated_location(b).diameter, abs=1e-12)
-        for evaluate in (lambda p: single_point_articulation(p).two_s, lambda p: probing(p, 24e-3, 6e-3).form):
+        assert articulated_location(a)[0].value == pytest.approx(articulated_location(b)[0].value, abs=1e-12)
+        for evaluate in (lambda p: single_point_articulation(p)[1].value, lambda p: probing(p, 24e-3, 6e-3)[1].value):
             assert sorted(map(evaluate, a)) == pytest.approx(sorted(map(evaluate, b)), abs=1e-12)
 
 

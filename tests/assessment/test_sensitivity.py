@@ -17,8 +17,8 @@ from calib.assessment.sensitivity import (
 )
 from calib.foundations.errors import JobError, MeasurementError
 from calib.job.assumed_errors import read_errors
+from calib.presentation.command_tables import group_sheet, sensitivity_sentence, sensitivity_sheet
 from calib.presentation.plots import sensitivity_figure
-from calib.presentation.sensitivity_tables import group_sheet, sensitivity_sentence, sensitivity_sheet
 from calib.presentation.tables import plain, sheet_table
 from tests.support import machines
 

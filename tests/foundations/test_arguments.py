@@ -89,7 +89,7 @@ def test_what_fits_is_taken(given: dict[str, Any]) -> None:
         ({"point": "12"}, "point is '12'; needs 2 numbers."),
         ({"array": [1.0]}, "array is [1.0]; needs an array of numbers or None."),
         ({"array": np.zeros(2, dtype=complex)}, "array is an array of complex128; needs an array of numbers or None."),
-        ({"array": np.ma.masked_all(2)}, "array is an array of float64; needs an array of numbers or None."),
+        ({"array": np.ma.masked_all(2)}, "array is a masked array of float64; needs an array of numbers or None."),
         (
             {"rows": np.zeros(2)},
             "rows is an array of float64; needs an array of whole numbers, an array of bools or None.",
@@ -238,3 +238,17 @@ def test_numbers_out_of_range_are_refused_where_they_come_in() -> None:
         with pytest.raises(calib.CalibError) as caught:
             slip()
         assert said in str(caught.value)
+
+
+def test_what_was_given_is_kept_whatever_its_owner_does_later() -> None:
+    robot = calib.load_robot("example:ur_description/urdf/ur10_robot.urdf", tip="tool0")
+    placements, base, tools = np.zeros((len(robot.chain), 6)), np.eye(4), {"tool": np.eye(4)}
+    machine = calib.CalibratedMachine(robot, calib.Deviations(placements, np.zeros(6)), base, tools)
+    readings = np.zeros((1, 6))
+    before = machine.predict(readings)
+    placements += 0.1
+    base[0, 3] = tools["tool"][0, 3] = 1.0
+    tools.clear()
+    np.testing.assert_array_equal(machine.predict(readings), before)
+    with pytest.raises(ValueError, match="read-only"):
+        machine.base[0, 3] = 1.0

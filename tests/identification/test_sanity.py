@@ -329,6 +329,15 @@ def test_what_nothing_explains(observes: str) -> None:
     assert (finding.severity, finding.code) == ("warning", "unexplained")
 
 
+def test_an_instrument_that_stopped_is_not_taken_for_degrees() -> None:
+    lab = Lab("ur10")
+    data = lab.measure()
+    assert data.position is not None
+    stopped = replace(data, position=np.broadcast_to(data.position[0], data.position.shape))
+    (finding,) = signatures(lab.model(), [stopped])
+    assert (finding.severity, finding.code) == ("warning", "unexplained")
+
+
 def test_two_mistakes_are_not_taken_for_one() -> None:
     lab = Lab("panda")
     data = lab.measure(joints(["panda_joint2", "panda_joint4"], np.negative))

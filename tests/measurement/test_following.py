@@ -7,7 +7,7 @@ import pytest
 
 import calib
 from calib.foundations.errors import CalibError
-from calib.measurement.streams.following import following
+from calib.measurement.streams.joints import following
 from calib.measurement.streams.samples import joint_stream
 from calib.measurement.table import table_from_arrays
 from scripts.simulate import streams as simulated

@@ -7,15 +7,16 @@ from scipy.spatial import cKDTree
 
 from calib.assessment.checks.of_fit import ROUNDING, small_sigma
 from calib.assessment.effects import memory
-from calib.assessment.gain import ONE_POSE, gain
+from calib.assessment.gain import gain
 from calib.assessment.judged import NOTHING, Check, JudgedSet
-from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.assessment.validation import ONE_POSE, both_ends
+from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors
 from calib.measurement.kinds import QUANTITIES
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import End, Measurements
 
 # Of the spread of what was measured. Poor arms leave up to half of it; what does not belong together leaves all.
 LEFT = 0.05
@@ -69,7 +70,7 @@ def _spread(fit: Fit, sets: Sequence[Measurements], data: Measurements, unit: st
         return _rms(data.value[:, :2])
     if data.position is not None:
         return max(_rms(data.position), ONE_PLACE * fit.model.robot.reach)
-    ends = [_tips(fit, end.readings, end.tool, one, k) for one in sets for k, end in enumerate(one.ends)]
+    ends = [_points(fit, data.tools, end) for data in sets for end in data.ends]
     return max(_rms(np.concatenate(ends)), ONE_PLACE * fit.model.robot.reach)
 
 
@@ -77,12 +78,11 @@ def _rms(x: Array) -> float:
     return float(np.sqrt(np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1))))
 
 
-def _tips(fit: Fit, readings: Array, tool: IntArray, data: Measurements, end: int) -> Array:
-    conditions = data.ends[end].conditions
-    T = fit.robot.tips(readings, fit.deviations, conditions)
+def _points(fit: Fit, tools: Sequence[str], end: End) -> Array:
+    T = fit.robot.tips(end.readings, fit.deviations, end.conditions)
     known = fit.measurements[0].tools
-    number = np.array([known.index(name) for name in data.tools], dtype=np.intp)
-    points = fit.machine.frames.tools[number[tool], :3, 3]
+    number = np.array([known.index(name) for name in tools], dtype=np.intp)
+    points = fit.machine.frames.tools[number[end.tool], :3, 3]
     return np.asarray(T[:, :3, 3] + (T[:, :3, :3] @ points[:, :, None])[:, :, 0])
 
 
@@ -176,7 +176,7 @@ def independent_rows(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) ->
     if not held_out:
         said = "No rows were held out: nothing shows how well the machine predicts other poses."
         return Check.idle("held-out poses", POSES, said, least=True)
-    cells = [np.round(_readings(one.data)[~_copied(own, one)] / ONE_POSE) for one in held_out]
+    cells = [np.round(both_ends(one.data)[~_copied(own, one)] / ONE_POSE) for one in held_out]
     n = len(np.unique(np.concatenate(cells), axis=0))
     said = f"{n} held-out {'pose is' if n == 1 else 'poses are'} different from those of the fit"
     return Check.judged("held-out poses", n, POSES, said, f", and {POSES} are needed.", least=True)
@@ -204,10 +204,6 @@ def _copied(own: Sequence[JudgedSet], one: JudgedSet) -> BoolArray:
     return found
 
 
-def _readings(data: Measurements) -> Array:
-    return np.hstack([data.ends[0].readings, data.ends[-1].readings])
-
-
 def _apart(data: Measurements, names: dict[str, int]) -> Array:
     """Return the readings, and beside them numbers by which rows of other tools and targets are far away."""
 
@@ -215,4 +211,4 @@ def _apart(data: Measurements, names: dict[str, int]) -> Array:
         return np.array([names.setdefault(name, len(names)) for name in of] or [0], dtype=np.float64)
 
     tool, target = numbers(data.tools)[data.tool], numbers(data.targets)[np.maximum(data.target, 0)]
-    return np.column_stack([_readings(data), tool, target])
+    return np.column_stack([both_ends(data), tool, target])

@@ -6,12 +6,12 @@ import numpy as np
 
 from calib.assessment.checks.of_fit import OF_REACH, ROUNDING
 from calib.assessment.effects import Effect, Rounding, Step, Strain, Timing
-from calib.assessment.gain import ONE_POSE
 from calib.assessment.judged import NOTHING, Check, JudgedSet
 from calib.assessment.metrics import error_norms
 from calib.assessment.mixed_machines import MixedMachines
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
+from calib.assessment.validation import ONE_POSE
 from calib.foundations.chance import bound
 from calib.foundations.units import MM, MS
 from calib.identification.fit import Fit

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.assessment.gain import ONE_POSE
 from calib.assessment.judged import JudgedSet
+from calib.assessment.validation import ONE_POSE
 from calib.foundations.arrays import Array
 from calib.foundations.units import DEG
 from calib.identification.fit import Fit

@@ -6,12 +6,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.units import MM, UNITS
 from calib.identification.followed import FEWEST_ROWS, Followed, followed
-from calib.job.chains import listed as tips_of
 from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension, run_of, values_of
-from calib.job.foreign.parts import parts_question
 from calib.job.foreign.seen import Seen
 from calib.job.proposal import About
 from calib.measurement.raw import RawColumn
@@ -28,6 +26,12 @@ _COMPUTED = 2e-5
 # Rows on which a reading is tried.
 _MOST_ROWS = 120
 _LIMIT_SLACK = 1.1
+# A base and a tool of their own explain a few rows of anything better than many.
+_FEWEST_OF_PART = FEWEST_ROWS + 4
+_MOST_PARTS = 12
+# What the arm follows as well as this, in every part, is no chance.
+_PARTS_FOLLOW = 0.1
+_LOOKED_AT = 12
 
 
 def trials_of(seen: Seen, pick: Pick, lengths: Sequence[str]) -> list[Trial]:
@@ -94,7 +98,8 @@ def decided(seen: Seen, trials: Sequence[Trial]) -> Trial:
     rivals = _of_the_same_joints(seen, _of_one_point(seen, rivals))
     arms = list(dict.fromkeys(t.pick.arm for t in rivals))
     if len(arms) > 1:
-        raise ask("tip", f"{seen.raw.where}: several arms of the URDF fit the rows equally well", tips_of(arms))
+        tips = dict.fromkeys(arm.tip for arm in arms)
+        raise ask("tip", f"{seen.raw.where}: several arms of the URDF fit the rows equally well", tips)
     for about, k in (("angles", 0), ("lengths", 2), ("lengths", 1)):
         units = sorted({t.units[k] for t in rivals})  # they fit alike: which is best is chance
         if len(units) > 1:
@@ -207,7 +212,7 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
     if enough and not np.isfinite(trials[0].fit.share):
         raise ask("columns", f"{where}: {seen.titles(trials[0].point.columns)} never change")
     if enough and not ((written or answered) and (pick.joints.exact or seen.answers.columns)):
-        parts = parts_question(seen, trials)
+        parts = _parts_question(seen, trials)
         if parts is not None:
             raise parts
         best = trials[0]
@@ -274,3 +279,57 @@ def _length_by_reach(seen: Seen, pick: Pick, point: Point) -> str:
         raise ask("lengths", f"{seen.raw.where}: {seen.titles(point.columns)} have no unit", units)
     seen.reasons.append(f"lengths are taken to be in {fits[0]}: in another unit they do not fit the arm's reach")
     return fits[0]
+
+
+def _parts_question(seen: Seen, trials: Sequence[Trial]) -> AskedError | None:
+    """Return a question where parts of the rows are followed each alone, and not together; None where they are not."""
+    where = seen.raw.where
+    for k, column in enumerate(seen.raw.columns):
+        kinds = sorted(set(column.words))
+        if 1 < len(kinds) <= _MOST_PARTS:
+            for trial in trials:
+                own = np.array(column.words)[trial.rows]
+                is_beside = k not in (*trial.pick.joints.columns, *trial.point.columns)
+                if is_beside and _are_followed(trial, [own == kind for kind in kinds]):
+                    return ask(
+                        "setup",
+                        f"{where}: the rows of each {column.title!r} fit the arm, all rows together do not; is it the "
+                        "place of the robot or the instrument, or the tool?",
+                        [f"'{name}={column.title}'" for name in ("setup", "tool")],
+                        "--column",
+                    )
+    for trial in trials:
+        first = _best_split(trial)
+        if first is not None and _are_followed(trial, [first, ~first]):
+            return ask(
+                "setup",
+                f"{where}: {seen.first_rows(int(trial.rows[first].max()))} and the rows after them fit the arm "
+                "separately, but not together; was the robot, the instrument or the tool moved there?",
+                (),
+                "a column setup, or tool, that says which rows belong together",
+            )
+    return None
+
+
+def _are_followed(trial: Trial, parts: Sequence[BoolArray]) -> bool:
+    return all(
+        part.sum() >= _FEWEST_OF_PART and followed(trial.tips[part], trial.position[part]).share < _PARTS_FOLLOW
+        for part in parts
+    )
+
+
+def _best_split(trial: Trial) -> BoolArray | None:
+    """Return the first rows (N) of the split after which the arm follows best; None where there are too few rows."""
+    n = len(trial.rows)
+    if n < 2 * _FEWEST_OF_PART:
+        return None
+    count = np.arange(n)
+
+    def left(k: int) -> float:
+        halves = (count < k, count >= k)
+        return float(sum(h.sum() * followed(trial.tips[h], trial.position[h]).miss ** 2 for h in halves))
+
+    coarse = np.unique(np.linspace(_FEWEST_OF_PART, n - _FEWEST_OF_PART, _LOOKED_AT).astype(int)).tolist()
+    best = min(range(len(coarse)), key=lambda i: left(coarse[i]))
+    low, high = coarse[max(best - 1, 0)], coarse[min(best + 1, len(coarse) - 1)]
+    return count < min(range(low, high + 1), key=left)

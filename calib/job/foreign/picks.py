@@ -8,16 +8,7 @@ from calib.foundations.words import listed
 from calib.job.chains import Chain, behind
 from calib.job.foreign.answers import Pick, ask, run_of
 from calib.job.foreign.seen import Seen
-from calib.measurement.roles import (
-    Joints,
-    Orientation,
-    Point,
-    joints_by_name,
-    joints_by_order,
-    named_among,
-    numbered_columns,
-    without_names,
-)
+from calib.measurement import roles
 
 _MOST_ARMS = 12
 # Joints beyond an arm.
@@ -31,26 +22,22 @@ def picks_of(seen: Seen) -> list[Pick]:
     if not seen.raw.named:
         found = []
         for arm in _arms_of(seen, range(len(seen.raw.columns) + 1)):
-            for way in without_names(seen.raw, len(arm.joints)):
-                joints = Joints(way.joints, 1, "by their place", False)
-                point = None if way.point is None else Point(way.point, frozenset(), 1)
-                turned = () if way.orientation is None else (way.orientation,)
-                found.append(Pick(arm, joints, point, turned, way.target))
+            found += [Pick(arm, *way) for way in roles.without_names(seen.raw, len(arm.joints))]
         return _as_answered(seen, found)
-    points: list[Point | None] = [*_points(seen)] or [None]
+    points: list[roles.Point | None] = [*_points(seen)] or [None]
     return _as_answered(
         seen, [Pick(arm, joints, point, _turned(seen, point)) for arm, joints in _joints(seen) for point in points]
     )
 
 
-def _points(seen: Seen) -> list[Point]:
+def _points(seen: Seen) -> list[roles.Point]:
     if all(axis in seen.named for axis in "xyz"):
         x, y, z = (seen.column(seen.named[axis]) for axis in "xyz")
-        return [Point((x, y, z), frozenset(), 1)]
+        return [roles.Point((x, y, z), frozenset(), 1)]
     return list(seen.known.points)
 
 
-def _turned(seen: Seen, point: Point | None) -> tuple[Orientation, ...]:
+def _turned(seen: Seen, point: roles.Point | None) -> tuple[roles.Orientation, ...]:
     """Return the orientations that belong to a point: those with the same words around them, or the only one."""
     every = seen.known.orientations
     if point is None:
@@ -63,27 +50,27 @@ def _turned(seen: Seen, point: Point | None) -> tuple[Orientation, ...]:
     return alike or (free if len(seen.known.points) == 1 else ())
 
 
-def _joints(seen: Seen) -> list[tuple[Chain, Joints]]:
+def _joints(seen: Seen) -> list[tuple[Chain, roles.Joints]]:
     """Return the columns of joints by name, of the longest arms that are named whole; else by their numbers."""
     among = frozenset(
         k
         for k, column in enumerate(seen.raw.columns)
         if column.numbers is not None and (k not in seen.known.spoken or seen.raw.named)
     )
-    named: list[tuple[Chain, Joints]] = []
+    named: list[tuple[Chain, roles.Joints]] = []
     for arm in seen.arms:
         given = [seen.named.get(name) for name in arm.joints]
         if all(given) and (arm is seen.arms[0] or seen.answers.tip is not None):
             columns = tuple(seen.column(title) for title in given if title is not None)
-            named.append((arm, Joints(columns, 0, "as answered", True)))
+            named.append((arm, roles.Joints(columns, 0, "as answered", True)))
             continue
         for first in range(len(arm.joints)):
             part = arm.joints[first:]
             if named and len(part) < max(len(other.joints) for other, _ in named):
                 break
-            if named_among(seen.raw, part, among) < len(part):
+            if roles.named_among(seen.raw, part, among) < len(part):
                 continue
-            named += [(behind(seen.document, arm, first), one) for one in joints_by_name(seen.raw, part, among)]
+            named += [(behind(seen.document, arm, first), one) for one in roles.joints_by_name(seen.raw, part, among)]
             break
     fewest = max((len(arm.joints) for arm, _ in named), default=0)
     named = [(arm, one) for arm, one in named if len(arm.joints) == fewest]
@@ -93,7 +80,7 @@ def _joints(seen: Seen) -> list[tuple[Chain, Joints]]:
         return named
     found = []
     for arm in _arms_of(seen, range(fewest + 1, len(seen.raw.columns) + 1)):
-        found += [(arm, one) for one in joints_by_order(seen.raw, len(arm.joints), seen.known)]
+        found += [(arm, one) for one in roles.joints_by_order(seen.raw, len(arm.joints), seen.known)]
     longest = max((len(arm.joints) for arm, _ in found), default=0)
     return named + [(arm, one) for arm, one in found if len(arm.joints) == longest]
 
@@ -101,7 +88,7 @@ def _joints(seen: Seen) -> list[tuple[Chain, Joints]]:
 def _arms_of(seen: Seen, counts: Iterable[int]) -> list[Chain]:
     """Return whole arms with as many joints; the ends of longer ones where no whole arm has as many as a family."""
     whole = [arm for arm in seen.arms if len(arm.joints) in counts and _is_plausible(seen, arm)]
-    families = set(numbered_columns(seen.raw)) if seen.raw.named else set()
+    families = set(roles.numbered_columns(seen.raw)) if seen.raw.named else set()
     lengths = {len(arm.joints) for arm in whole}
     ends = [
         behind(seen.document, arm, len(arm.joints) - count)
@@ -138,7 +125,7 @@ def no_joints(seen: Seen) -> Exception:
     """Return what to raise where no column is a joint."""
     there = listed([column.title for column in seen.raw.columns])
     longest = seen.arms[0].joints if seen.arms else ()
-    sizes = [size for size in numbered_columns(seen.raw) if size > 2] if seen.raw.named else []
+    sizes = [size for size in roles.numbered_columns(seen.raw) if size > 2] if seen.raw.named else []
     if sizes and len(longest):
         return ask(
             "joints",

@@ -8,19 +8,8 @@ import numpy as np
 from calib.foundations.units import UNITS
 from calib.foundations.words import listed
 from calib.identification.followed import FEWEST_ROWS, pivots
+from calib.job.foreign import fits
 from calib.job.foreign.answers import Answers, Found, Pick, Trial, ask, run_of, values_of
-from calib.job.foreign.fits import (
-    ALIKE,
-    FOLLOWS,
-    TIMES,
-    by_ranges,
-    decided,
-    options,
-    readings_in,
-    trials_of,
-    units_by_limits,
-    units_of_joints,
-)
 from calib.job.foreign.picks import no_joints, picks_of
 from calib.job.foreign.seen import Seen, is_ours
 from calib.job.foreign.turns import orientation_of
@@ -50,15 +39,15 @@ def read(document: Urdf, raw: RawTable, answers: Answers, robot: Robot | None) -
 
 
 def _positions(seen: Seen, picks: Sequence[Pick]) -> Found:
-    trials = [trial for pick in picks for trial in trials_of(seen, pick, ("m", "mm"))]
-    if not any(trial.fit.share < FOLLOWS for trial in trials):
-        trials += [trial for pick in picks for trial in trials_of(seen, pick, ("cm", "inch"))]
+    trials = [trial for pick in picks for trial in fits.trials_of(seen, pick, ("m", "mm"))]
+    if not any(trial.fit.share < fits.FOLLOWS for trial in trials):
+        trials += [trial for pick in picks for trial in fits.trials_of(seen, pick, ("cm", "inch"))]
     trials.sort(key=lambda trial: trial.fit.share)
     enough = trials and len(trials[0].rows) >= FEWEST_ROWS
-    if enough and trials[0].fit.share < FOLLOWS:
-        best = decided(seen, trials)
+    if enough and trials[0].fit.share < fits.FOLLOWS:
+        best = fits.decided(seen, trials)
     else:
-        best = by_ranges(seen, trials, picks, bool(enough))
+        best = fits.by_ranges(seen, trials, picks, bool(enough))
     return _posed(seen, best)
 
 
@@ -128,13 +117,13 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
             "a column of the point (x, y, z), of a socket's name, or a length with a target",
         )
     target = seen.raw.columns[targets[0]]
-    units = _touched(seen, pick, target) if kind == "socket" else (*units_by_limits(seen, pick), "m")
+    units = _touched(seen, pick, target) if kind == "socket" else (*fits.units_by_limits(seen, pick), "m")
     seen.reasons.append(f"{seen.titles(pick.joints.columns)} are {run_of(pick.arm.joints)}, {pick.joints.why}")
     names = _names(seen, pick, units)
     names["target"] = target.title
     if kind == "distance":
         column = seen.raw.columns[lengths[0]]
-        unit = options([column], seen.answers.lengths, ("m", "mm"))
+        unit = fits.options([column], seen.answers.lengths, ("m", "mm"))
         if len(unit) > 1:
             size, reach = float(np.nanmedian(np.abs(values_of(column)))), seen.robot(pick.arm).reach
             unit = [u for u in unit if 0.02 * reach < size * UNITS[u].factor < 20.0 * reach]
@@ -151,7 +140,7 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
 def _touched(seen: Seen, pick: Pick, target: RawColumn) -> tuple[str, str, str]:
     """Return the units in which rows of one socket touch one point; by limits where they do not tell."""
     shares = _shares(seen, pick, target)
-    if shares and shares[0][0] < FOLLOWS and _is_clear(shares):
+    if shares and shares[0][0] < fits.FOLLOWS and _is_clear(shares):
         share, angle, slide = shares[0]
         if len(shares) > 1:
             seen.reasons.append(
@@ -169,7 +158,7 @@ def _touched(seen: Seen, pick: Pick, target: RawColumn) -> tuple[str, str, str]:
             (),
             "--angles, and --observes where it is no socket",
         )
-    return (*units_by_limits(seen, pick), "m")
+    return (*fits.units_by_limits(seen, pick), "m")
 
 
 _Shares = list[tuple[float, str, str]]
@@ -182,8 +171,8 @@ def _shares(seen: Seen, pick: Pick, target: RawColumn) -> _Shares:
     words = list(dict.fromkeys(target.words))
     number = np.array([words.index(word) for word in target.words])
     shares = []
-    for angle, slide in units_of_joints(seen, robot, columns):
-        q = readings_in(robot, columns, angle, slide)
+    for angle, slide in fits.units_of_joints(seen, robot, columns):
+        q = fits.readings_in(robot, columns, angle, slide)
         rows = np.flatnonzero(np.isfinite(q).all(axis=1) & (np.abs(q).max(axis=1) < 1e4) & seen.alike())
         if 3 * len(rows) > 2 * (3 + 3 * len(words)):
             shares.append((pivots(robot.tips(q[rows]), number[rows]), angle, slide))
@@ -191,7 +180,7 @@ def _shares(seen: Seen, pick: Pick, target: RawColumn) -> _Shares:
 
 
 def _is_clear(shares: _Shares) -> bool:
-    return len(shares) < 2 or shares[1][0] > max(TIMES * shares[0][0], ALIKE)
+    return len(shares) < 2 or shares[1][0] > max(fits.TIMES * shares[0][0], fits.ALIKE)
 
 
 def _that_touch(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
@@ -202,7 +191,7 @@ def _that_touch(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
             found += [(one, pick) for one in _shares(seen, pick, seen.raw.columns[pick.target])]
     found.sort(key=lambda one: one[0])
     clear = _is_clear([share for share, _ in found])
-    return [found[0][1]] if found and found[0][0][0] < FOLLOWS and clear else []
+    return [found[0][1]] if found and found[0][0][0] < fits.FOLLOWS and clear else []
 
 
 def _names(seen: Seen, pick: Pick, units: tuple[str, str, str]) -> dict[str, str]:

@@ -31,11 +31,6 @@ class _Way(NamedTuple):
     rotation: Array
     of: Orientation
 
-    @property
-    def is_named(self) -> bool:
-        """Whether the columns' names say this convention."""
-        return self.convention == self.of.convention
-
     def is_like(self, other: "_Way") -> bool:
         """Whether both give the same rotations in all rows."""
         between = np.swapaxes(self.rotation, 1, 2) @ other.rotation
@@ -64,7 +59,8 @@ def orientation_of(seen: Seen, best: Trial) -> tuple[str | None, tuple[int, ...]
         )
         return None
     alike = [other for other in ways if other.angle < max(TIMES * way.angle, _ALIKE_ANGLE)]
-    named = [other for other in alike if other.is_named]
+    # Of which the columns' names say the convention.
+    named = [other for other in alike if other.convention == other.of.convention]
     if all(other.is_like(way) for other in alike):
         # One rotation by several names: the one that the columns have, or the shortest.
         way = (named or alike)[0]

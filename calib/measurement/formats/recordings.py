@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.foundations.errors import DAMAGED, MeasurementError
-from calib.foundations.files import read_bytes
+from calib.foundations.files import read_bytes, sentences
 from calib.foundations.words import listed, near, shown
 from calib.measurement.formats.sheet import Sheet
 from calib.measurement.formats.unpacking import limited
@@ -24,9 +24,9 @@ SUFFIXES = frozenset((".bag", ".mcap", ".db3"))
 # A table of so many rows is hours of a fast controller; cells of text take some hundred bytes each.
 _MOST_MESSAGES = 3_000_000
 _NANO = 1e-9
-# Where a point, and where an orientation, may be in a message.
-_POINTS = ("position", "translation", "point", "vector")
-_TURNS = ("orientation", "rotation")
+# Where a point, and where an orientation, may be in a message, and which numbers it has.
+_POINT = (("position", "translation", "point", "vector"), ("x", "y", "z"))
+_TURN = (("orientation", "rotation"), ("w", "x", "y", "z"))
 _INSIDE = ("pose", "transform")
 _TF = "tf2_msgs/msg/TFMessage"
 _JOINTS = "sensor_msgs/msg/JointState"
@@ -106,9 +106,9 @@ def _joint_rows(told: list[tuple[float, str, Any]]) -> tuple[tuple[str, ...], li
 
 def _point_rows(told: list[tuple[float, str, Any]]) -> tuple[tuple[str, ...], list[list[float]], list[str]]:
     rows = []
-    turned = _turn(told[0][2]) is not None
+    turned = _within(told[0][2], *_TURN) is not None
     for time, _, message in told:
-        p, q = _point(message), _turn(message)
+        p, q = _within(message, *_POINT), _within(message, *_TURN)
         if p is not None:
             rows.append([time, float(p.x), float(p.y), float(p.z), *((q.w, q.x, q.y, q.z) if turned and q else ())])
     titles = ("time [s]", "x [m]", "y [m]", "z [m]")
@@ -127,17 +127,9 @@ def _made_of(kind: str, message: Any) -> str:
     """Return which table messages can become: "joints", "pose", "point", or none ("")."""
     if kind == _JOINTS:
         return "joints"
-    if _point(message) is None:
+    if _within(message, *_POINT) is None:
         return ""
-    return "point" if _turn(message) is None else "pose"
-
-
-def _point(message: Any) -> Any:
-    return _within(message, _POINTS, ("x", "y", "z"))
-
-
-def _turn(message: Any) -> Any:
-    return _within(message, _TURNS, ("w", "x", "y", "z"))
+    return "point" if _within(message, *_TURN) is None else "pose"
 
 
 def _within(message: Any, names: tuple[str, ...], needed: tuple[str, ...]) -> Any:
@@ -234,12 +226,10 @@ def _refuse_metadata(file: Path) -> None:
 
 def _refuse_irregular(path: Path) -> None:
     """Raise MeasurementError for what is not there, and for pipes and devices, which a reader would wait for."""
-    try:
+    with sentences(path, MeasurementError):
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         for file in files:
             if not file.exists():
                 raise MeasurementError(f"{file}: no such file or folder.")
             if not (file.is_file() or (file.is_dir() and file != path)):
                 raise MeasurementError(f"{file}: is not a regular file.")
-    except OSError as e:
-        raise MeasurementError(f"{path}: cannot be read ({e.strerror}).") from e

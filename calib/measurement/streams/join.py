@@ -80,9 +80,7 @@ def streamed(
         )
         for role, start in shifts.items()
     )
-    uses = {**rows.uses, **{role: len(rows.scalars) + k for k, role in enumerate(shifts)}}
-    rows = replace(rows, scalars=(*rows.scalars, *scalars), uses=uses, absent=joints.absent)
-    return _in_order(rows, ordered)
+    return _in_order(_with_clock(rows, dict(zip(shifts, scalars, strict=True))), ordered)
 
 
 def _in_order(rows: Measurements, ordered: bool) -> Measurements:
@@ -120,8 +118,14 @@ def _of_one_clock(data: Measurements, joints: JointStream, clock: Clock, robot: 
         scalars.append(Scalar(name, "s", size, shifts[LATENCY], weak_prior=wide))
     known = _known(data, stream, shifts)
     rows = replace(data.subset(known), stream=stream.subset(known))
-    uses = {role: len(rows.scalars) + k for k, role in enumerate(shifts)}
-    return replace(rows, scalars=(*rows.scalars, *scalars), uses={**rows.uses, **uses}, absent=joints.absent)
+    return _with_clock(rows, dict(zip(shifts, scalars, strict=True)))
+
+
+def _with_clock(rows: Measurements, clock: Mapping[str, Scalar]) -> Measurements:
+    """Return rows of a stream with the unknown numbers of its clock, by what they are to it."""
+    uses = {role: len(rows.scalars) + k for k, role in enumerate(clock)}
+    absent = rows.absent if rows.stream is None else rows.stream.joints.absent
+    return replace(rows, scalars=(*rows.scalars, *clock.values()), uses={**rows.uses, **uses}, absent=absent)
 
 
 def _said(role: str, clock: Clock) -> str:

@@ -1,13 +1,14 @@
 """Joint readings at any time, from a controller's samples."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
-from calib.measurement.streams.following import Following
+from calib.foundations.units import Dimension
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -17,6 +18,22 @@ if TYPE_CHECKING:
 SPAN = 0.05
 # From half of the samples, over twice as much, they differ by this share at most: by a motion of 3 Hz, or by noise.
 _ALIKE = 0.2
+# A joint that moves more slowly, in rad/s or m/s, does not show how late it is.
+_SLOWEST = 1e-3
+
+
+class Following(NamedTuple):
+    """The following error of a ``joint``, actual minus commanded, in rad or m: its ``rms`` and the ``largest`` one.
+
+    ``late``: by how many s the joint came late, 0 where it hardly moved; ``left``: the rms of what that leaves.
+    """
+
+    joint: str
+    dimension: Dimension
+    rms: float
+    largest: float
+    late: float
+    left: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,3 +110,18 @@ class JointStream:
         for k in np.unique(piece):
             found[piece == k] = self.pieces[k](times[piece == k], nu=derivative)
         return found
+
+
+def following(joints: Mapping[str, Dimension], actual: Array, commanded: Array, rates: Array) -> tuple[Following, ...]:
+    """Return how joints followed, from actual and commanded readings (N, k), and ``rates`` (N, k) of the actual ones.
+
+    A joint that is late by d is behind by d times its rate: d is the slope of a line through all samples.
+    """
+    found = []
+    for (joint, dimension), error, rate in zip(joints.items(), (actual - commanded).T, rates.T, strict=True):
+        centred, moving = error - error.mean(), rate - rate.mean()
+        power = float(moving @ moving)
+        late = -float(moving @ centred) / power if power > len(rate) * _SLOWEST**2 else 0.0
+        rms, left = (float(np.sqrt(np.mean(e**2))) for e in (error, centred + late * moving))
+        found.append(Following(joint, dimension, rms, float(np.abs(error).max()), late, left))
+    return tuple(found)

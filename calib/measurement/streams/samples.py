@@ -11,8 +11,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension
 from calib.measurement.columns import filled, numbers, refuse_unknown, require, stacked
 from calib.measurement.from_table import ALL_READ, Joints
-from calib.measurement.streams.following import following
-from calib.measurement.streams.joints import JointStream
+from calib.measurement.streams.joints import JointStream, following
 from calib.measurement.table import APPROACH, COMMANDED, TORQUE, Table
 from calib.robot.robot import Reading
 
@@ -130,13 +129,13 @@ def times_of(table: Table) -> Array:
     """Return the column ``time`` (N,) in s. Raises MeasurementError where it is missing or runs backwards."""
     require(table, ("time",), "of a stream")
     times = numbers(table, "time", "time")
-    back = np.flatnonzero(np.diff(times) < 0.0)
-    if len(back):
-        row = int(back[0]) + 1
-        raise MeasurementError(
-            f"{table.where}:{table.lines[row]}: the time {times[row]:.6f} s is before that of the row above, "
-            f"{times[row - 1]:.6f} s; the rows of a stream are in order of time."
-        )
+    table.refuse(
+        np.diff(times, prepend=times[0]) < 0.0,
+        lambda row: (
+            f"the time {times[row]:.6f} s is before that of the row above, {times[row - 1]:.6f} s; the rows of a "
+            "stream are in order of time."
+        ),
+    )
     return read_only_view(times)
 
 

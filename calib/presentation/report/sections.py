@@ -20,37 +20,10 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.machine.uncertainty import rms_by_cause
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
+from calib.presentation import sheets
 from calib.presentation.page_files import page_file
-from calib.presentation.report.charts import (
-    Axis,
-    Bars,
-    Curve,
-    Level,
-    Mark,
-    Points,
-    chart,
-    linear,
-    logarithmic,
-    map_of,
-    matrix,
-)
+from calib.presentation.report import charts
 from calib.presentation.report.document import Block, Picture, Prose, Row, Section, Sheet, Tile, Verdict
-from calib.presentation.sheets import (
-    SHOWN,
-    budget_sheet,
-    choice_sheet,
-    correlation,
-    count,
-    error_sheet,
-    figure,
-    in_urdf_sentences,
-    level_sheet,
-    noise_sentences,
-    parameter_sheet,
-    prior_sentences,
-    rank_sentences,
-    signed,
-)
 from calib.presentation.sheets import Level as LevelFigures
 
 _KEY = (("before", "before"), ("after", "after"))
@@ -103,7 +76,7 @@ def verdict(
     for quantity, after in judged["after"].items():
         before = judged["before"][quantity]
         rows = "held-out rows" if held_out else "fitted rows"
-        names = (figure(before.rms, before.unit), figure(after.rms, after.unit))
+        names = (sheets.figure(before.rms, before.unit), sheets.figure(after.rms, after.unit))
         if after.rms < before.rms:
             # Data without noise leave rounding alone, and a ratio of it is no figure.
             ratio = before.rms / max(after.rms, 1e-6 * before.rms)
@@ -114,7 +87,7 @@ def verdict(
         else:
             said.append(f"No better: on {after.n} {rows}, the {quantity} error goes from {names[0]} to {names[1]} rms.")
         tiles += [Tile(f"{quantity}, before (rms)", names[0]), Tile(f"{quantity}, after (rms)", names[1])]
-        tiles.append(Tile(f"{quantity}, after (largest)", figure(after.max, after.unit)))
+        tiles.append(Tile(f"{quantity}, after (largest)", sheets.figure(after.max, after.unit)))
     if doubts:
         reasons = tuple(f"Not to be trusted: {doubt}" for doubt in doubts)
     elif held_out:
@@ -140,9 +113,9 @@ def errors(
 
     ``in_urdf``: its figures by use, none where it takes other readings, and whether its fit converged.
     """
-    blocks: list[Block] = [error_sheet(figures)]
+    blocks: list[Block] = [sheets.error_sheet(figures)]
     if in_urdf is not None:
-        blocks.append(Prose(in_urdf_sentences(figures, *in_urdf), brief=True))
+        blocks.append(Prose(sheets.in_urdf_sentences(figures, *in_urdf), brief=True))
     return Section("errors", "Before and after", tuple(blocks))
 
 
@@ -170,15 +143,15 @@ def _allowed(check: Check) -> str:
 
 def levels(found: Sequence[LevelFigures]) -> Section:
     """Return what each level brought."""
-    blocks: list[Block] = [level_sheet(found)]
+    blocks: list[Block] = [sheets.level_sheet(found)]
     for quantity, first in found[0][3].items():
-        factor, unit = SHOWN[first.unit]
+        factor, unit = sheets.SHOWN[first.unit]
         rms = np.array([figures[quantity].rms for *_, figures in found]) * factor
-        x = Axis("level", -0.5, len(found) - 0.5, names=tuple(name[:14] for name, *_ in found))
+        x = charts.Axis("level", -0.5, len(found) - 0.5, names=tuple(name[:14] for name, *_ in found))
         steps = np.arange(len(found), dtype=np.float64)
-        marks: list[Mark] = [Curve("after", steps, rms), Points("after", steps, rms, 9.0)]
+        marks: list[charts.Mark] = [charts.Curve("after", steps, rms), charts.Points("after", steps, rms, 9.0)]
         said = ", ".join(f"{name} {value:.4f}" for (name, *_), value in zip(found, rms, strict=True))
-        drawn = chart(x, logarithmic(f"{quantity} error, rms [{unit}]", rms), marks)
+        drawn = charts.chart(x, charts.logarithmic(f"{quantity} error, rms [{unit}]", rms), marks)
         blocks.append(Picture(f"{quantity.capitalize()} error after each level", drawn, f"In {unit}: {said}."))
     return Section("levels", "Levels", tuple(blocks))
 
@@ -190,7 +163,7 @@ def trace(followed: Trace) -> Section:
 
 def chosen(choice: Choice) -> Section:
     """Return which joint terms were chosen, and what held-out data said of them."""
-    return Section("terms", "Joint terms", (choice_sheet(choice),))
+    return Section("terms", "Joint terms", (sheets.choice_sheet(choice),))
 
 
 def distribution(sets: Sequence[JudgedSet]) -> Section:
@@ -206,20 +179,20 @@ def pose_section(sets: Sequence[JudgedSet]) -> Section:
     for quantity, having, before, after, shown in _errors(sets):
         rows, number = _drawn(after), np.arange(1.0, len(after) + 1.0)
         edge = sum(len(judged.data) for judged in having if judged.use == "identification")
-        x = linear("row", np.array([0.0, len(after)]))
-        y = logarithmic(f"error [{shown}]", np.concatenate([before, after]))
-        marks: list[Mark] = [
-            Points("before", number[rows], before[rows]),
-            Points("after", number[rows], after[rows]),
+        x = charts.linear("row", np.array([0.0, len(after)]))
+        y = charts.logarithmic(f"error [{shown}]", np.concatenate([before, after]))
+        marks: list[charts.Mark] = [
+            charts.Points("before", number[rows], before[rows]),
+            charts.Points("after", number[rows], after[rows]),
         ]
         held_out = ""
         if 0 < edge < len(after):
-            marks.append(Curve("soft", np.full(2, edge + 0.5), np.array([y.low, y.high])))
+            marks.append(charts.Curve("soft", np.full(2, edge + 0.5), np.array([y.low, y.high])))
             held_out = f" Rows from {edge + 1} on, right of the line, were held out."
         worst = int(np.argmax(after))
         at = [f"{judged.file}, line {line}" for judged in having for line in judged.data.lines][worst]
         said = f"The largest one after calibration is {after[worst]:.4f} {shown}, from {at}.{held_out}"
-        blocks.append(Picture(f"{quantity.capitalize()} error of every row", chart(x, y, marks, _KEY), said))
+        blocks.append(Picture(f"{quantity.capitalize()} error of every row", charts.chart(x, y, marks, _KEY), said))
     use = judged_use(sets)
     blocks += _per_axis(_of(sets, use), use)
     return Section("poses", "Error of every pose and axis", tuple(blocks))
@@ -231,18 +204,21 @@ def joints(fit: Fit, sets: Sequence[JudgedSet]) -> Section:
     readings = np.concatenate([judged.data.readings for judged in error.sets])
     pictures = []
     for reading, values in zip(fit.robot.readings, readings.T, strict=True):
-        factor, unit = SHOWN["rad" if reading.dimension == "angle" else "m"]
+        factor, unit = sheets.SHOWN["rad" if reading.dimension == "angle" else "m"]
         at, rows = values * factor, _drawn(error.after)
         centres, means = _running_mean(at, error.after)
-        marks: list[Mark] = [Points("after", at[rows], error.after[rows], _size(rows)), Curve("soft", centres, means)]
-        y = linear(f"error [{error.shown}]", error.after, from_zero=True)
+        marks: list[charts.Mark] = [
+            charts.Points("after", at[rows], error.after[rows], _size(rows)),
+            charts.Curve("soft", centres, means),
+        ]
+        y = charts.linear(f"error [{error.shown}]", error.after, from_zero=True)
         said = (
             f"The mean over eighths of the rows is between {means.min():.4f} and {means.max():.4f} {error.shown}."
             if means.size
             else "There are too few rows for a mean."
         )
         key = (("after", "after"), ("soft", "mean"))
-        drawn = chart(linear(f"{reading.name[:40]} [{unit}]", at), y, marks, key)
+        drawn = charts.chart(charts.linear(f"{reading.name[:40]} [{unit}]", at), y, marks, key)
         pictures.append(Picture(f"Over {reading.name}", drawn, said))
     return Section("joints", "Error over joint readings", tuple(pictures))
 
@@ -260,7 +236,7 @@ def workspace(fit: Fit, sets: Sequence[JudgedSet]) -> Section:
     said = f"Mean errors of the nearest, middle and farthest third from the base axis: {means} {error.shown}."
     rows = _drawn(error.after)
     pictures = [
-        Picture(title, map_of(points[rows][:, axes], (names[0], names[1]), error.after[rows], error.shown), said)
+        Picture(title, charts.map_of(points[rows][:, axes], (names[0], names[1]), error.after[rows], error.shown), said)
         for title, axes, names in (("From above", [0, 1], "xy"), ("From the side", [0, 2], "xz"))
     ]
     return Section("workspace", "Error over the workspace", tuple(pictures))
@@ -280,7 +256,9 @@ def budget(machine: CalibratedMachine, sets: Sequence[JudgedSet]) -> Section | N
         "it is wide. What the model leaves out is estimated from what the residuals have in common."
     )
     return Section(
-        "budget", "Uncertainty of the tool", (budget_sheet(rms_by_cause(found.budget), len(readings)), Prose((said,)))
+        "budget",
+        "Uncertainty of the tool",
+        (sheets.budget_sheet(rms_by_cause(found.budget), len(readings)), Prose((said,))),
     )
 
 
@@ -291,7 +269,7 @@ def parameters(fit: Fit) -> Section:
         "if other parameters change with it. Weakly determined ones have a sigma above half their parameter scale."
     )
     sentences = (said,) if fit.unidentifiable.any() or fit.weakly_determined.any() else ()
-    blocks: list[Block] = [parameter_sheet(fit)]
+    blocks: list[Block] = [sheets.parameter_sheet(fit)]
     if any(parameter.kind in ("placement", "offset") for parameter in fit.parameters):
         blocks.append(Picture("What the names mean", page_file("deviation.svg"), _DRAWN))
     return Section("parameters", "Parameters", (*blocks, *([Prose(sentences)] if sentences else [])))
@@ -299,7 +277,7 @@ def parameters(fit: Fit) -> Section:
 
 def correlations(fit: Fit) -> Section | None:
     """Return how the errors of the identifiable parameters go together; None where there are fewer than two."""
-    seen, r = correlation(fit)
+    seen, r = sheets.correlation(fit)
     if len(seen) < 2:
         return None
     names = [fit.parameters[k].name for k in seen]
@@ -308,21 +286,21 @@ def correlations(fit: Fit) -> Section | None:
     sheet = Sheet.of(
         "Strongest correlations",
         ("parameter", "and", ">correlation"),
-        [(names[i], names[j], signed(r[i, j], 3)) for i, j in strongest],
+        [(names[i], names[j], sheets.signed(r[i, j], 3)) for i, j in strongest],
         "of the uncertainties, not of the values; parameters identifiable only in combination are left out",
     )
     high = sum(abs(r[ij]) > 0.9 for ij in pairs)
     i, j = strongest[0]
     said = (
-        f"Of {count(len(pairs), 'pair', 'pairs')} {high} correlate by more than 0.9; the strongest is {names[i]} with "
-        f"{names[j]}, {signed(r[i, j], 3)}. Blue is positive, orange negative."
+        f"Of {sheets.count(len(pairs), 'pair', 'pairs')} {high} correlate by more than 0.9; the strongest is "
+        f"{names[i]} with {names[j]}, {sheets.signed(r[i, j], 3)}. Blue is positive, orange negative."
     )
     # Of sixty parameters nobody reads a square each: those that correlate most, in the order of all.
     least = np.max(np.abs(r - np.eye(len(r))), axis=1)
     drawn = np.sort(np.argsort(-least, kind="stable")[:_MOST_CORRELATED])
     if len(drawn) < len(r):
         said += f" Drawn are the {len(drawn)} parameters that correlate most, of {len(r)}."
-    svg = matrix(r[np.ix_(drawn, drawn)], [names[k] for k in drawn])
+    svg = charts.matrix(r[np.ix_(drawn, drawn)], [names[k] for k in drawn])
     return Section("correlations", "Correlations", (Picture("Correlations", svg, said, wide=True), sheet))
 
 
@@ -331,19 +309,19 @@ def seen(fit: Fit) -> Section:
     values = fit.singular_values
     number = np.arange(1.0, len(values) + 1.0)
     weak = values < NUMERICAL_TOLERANCE
-    y = logarithmic("singular value", np.append(values, NUMERICAL_TOLERANCE))
-    marks: list[Mark] = [
-        Points("after", number[~weak], values[~weak], 6.0),
-        Points("before", number[weak], values[weak], 6.0),
-        Level(NUMERICAL_TOLERANCE, "numerical rank: above"),
+    y = charts.logarithmic("singular value", np.append(values, NUMERICAL_TOLERANCE))
+    marks: list[charts.Mark] = [
+        charts.Points("after", number[~weak], values[~weak], 6.0),
+        charts.Points("before", number[weak], values[weak], 6.0),
+        charts.Level(NUMERICAL_TOLERANCE, "numerical rank: above"),
     ]
-    drawn = chart(linear("direction", np.append(number, 0.0)), y, marks)
+    drawn = charts.chart(charts.linear("direction", np.append(number, 0.0)), y, marks)
     said = (
         f"Formal rank {fit.rank}, numerical rank {fit.numerical_rank}, of {len(values)} parameters. The inverse of a "
         "singular value is the standard deviation along its direction, in parameter scales (1 mm, 1 mrad or the "
         "prior). Dots on the lower edge stand for smaller values."
     )
-    blocks: list[Block] = [Prose(rank_sentences(fit), brief=True), Picture("Singular values", drawn, said)]
+    blocks: list[Block] = [Prose(sheets.rank_sentences(fit), brief=True), Picture("Singular values", drawn, said)]
     if fit.null_space:
         directions = tuple(map(str, fit.null_space))
         blocks.append(Prose(told_briefly(fit.model, fit.measurements, fit.null_space, directions), "list"))
@@ -352,13 +330,13 @@ def seen(fit: Fit) -> Section:
 
 def priors(fit: Fit) -> Section | None:
     """Return the priors whose width was learned, and what taught them; None where all are stated."""
-    said = prior_sentences(fit)
+    said = sheets.prior_sentences(fit)
     return Section("priors", "Learned priors", (Prose(said, brief=True),)) if said else None
 
 
 def noise(fit: Fit) -> Section:
     """Return the noise of every set."""
-    return Section("noise", "Noise", (Prose(noise_sentences(fit), brief=True),))
+    return Section("noise", "Noise", (Prose(sheets.noise_sentences(fit), brief=True),))
 
 
 def provenance(command: str, versions: Mapping[str, str | None], inputs: Mapping[str, str]) -> Section:
@@ -384,7 +362,7 @@ def _errors(sets: Sequence[JudgedSet]) -> list[_Errors]:
             having.setdefault(quantity.name, []).append(judged)
     out = []
     for name, own in having.items():
-        factor, unit = SHOWN[UNIT_OF[name]]
+        factor, unit = sheets.SHOWN[UNIT_OF[name]]
         before, after = (
             np.concatenate([error_norms(judged.data.kind, r)[name] for judged, r in pairs]) * factor
             for pairs in ([(judged, judged.before) for judged in own], [(judged, judged.after) for judged in own])
@@ -405,35 +383,37 @@ def _size(rows: IntArray) -> float:
 
 
 def _histogram(found: _Errors, use: Use) -> Picture:
-    x = logarithmic(f"error [{found.shown}]", np.concatenate([found.before, found.after]))
+    x = charts.logarithmic(f"error [{found.shown}]", np.concatenate([found.before, found.after]))
     edges = np.geomspace(x.low, x.high, _BINS + 1)
     bars = [
-        Bars(name, edges, np.histogram(np.clip(values, x.low, x.high), edges)[0].astype(np.float64))
+        charts.Bars(name, edges, np.histogram(np.clip(values, x.low, x.high), edges)[0].astype(np.float64))
         for name, values in (("before", found.before), ("after", found.after))
     ]
-    y = linear("rows", np.concatenate([bar.heights for bar in bars]), from_zero=True)
+    y = charts.linear("rows", np.concatenate([bar.heights for bar in bars]), from_zero=True)
     said = (
         f"Half of the errors of the {use} data are below {np.median(found.before):.4f} {found.shown} before "
         f"calibration and below {np.median(found.after):.4f} {found.shown} after it."
     )
-    return Picture(f"Histogram, {found.quantity}", chart(x, y, bars, _KEY), said)
+    return Picture(f"Histogram, {found.quantity}", charts.chart(x, y, bars, _KEY), said)
 
 
 def _cumulative(found: _Errors, use: Use) -> Picture:
-    x = logarithmic(f"error [{found.shown}]", np.concatenate([found.before, found.after]))
+    x = charts.logarithmic(f"error [{found.shown}]", np.concatenate([found.before, found.after]))
     lines = []
     for name, values in (("before", found.before), ("after", found.after)):
         ranked = np.sort(values)[_drawn(np.sort(values))]
         share = 100.0 * np.linspace(1.0 / len(values), 1.0, len(ranked))
         # A staircase: each error adds its row where it lies.
-        lines.append(Curve(name, np.repeat(ranked, 2), np.column_stack([np.append(0.0, share[:-1]), share]).ravel()))
-    level = Level(95.0, "95 %")
+        lines.append(
+            charts.Curve(name, np.repeat(ranked, 2), np.column_stack([np.append(0.0, share[:-1]), share]).ravel())
+        )
+    level = charts.Level(95.0, "95 %")
     said = (
         f"95 % of the {use} rows are within {np.percentile(found.before, 95.0):.4f} {found.shown} before calibration "
         f"and within {np.percentile(found.after, 95.0):.4f} {found.shown} after it."
     )
-    y = Axis("rows within it [%]", 0.0, 100.0)
-    return Picture(f"Cumulative curve, {found.quantity}", chart(x, y, [*lines, level], _KEY), said)
+    y = charts.Axis("rows within it [%]", 0.0, 100.0)
+    return Picture(f"Cumulative curve, {found.quantity}", charts.chart(x, y, [*lines, level], _KEY), said)
 
 
 def _per_axis(sets: Sequence[JudgedSet], use: Use) -> list[Block]:
@@ -443,7 +423,7 @@ def _per_axis(sets: Sequence[JudgedSet], use: Use) -> list[Block]:
         chosen = [judged for judged in sets if judged.after.shape[1] >= first + len(axes)]
         if not chosen:
             continue
-        factor, shown = SHOWN[unit]
+        factor, shown = sheets.SHOWN[unit]
         before, after = (
             np.concatenate([r[:, first : first + 3] for r in rs]) * factor
             for rs in ([judged.before for judged in chosen], [judged.after for judged in chosen])
@@ -451,16 +431,20 @@ def _per_axis(sets: Sequence[JudgedSet], use: Use) -> list[Block]:
         for when, values in (("before", before), ("after", after)):
             for k, axis in enumerate(axes):
                 v = values[:, k]
-                cells = (axis, when, signed(v.mean(), 4), f"{v.std():.4f}", f"{np.abs(v).max():.4f}", shown)
+                cells = (axis, when, sheets.signed(v.mean(), 4), f"{v.std():.4f}", f"{np.abs(v).max():.4f}", shown)
                 rows.append(Row(cells, strong=when == "after", ends_group=k == 2))
-        y = Axis("axis", -0.6, len(axes) - 0.4, names=axes)
+        y = charts.Axis("axis", -0.6, len(axes) - 0.4, names=axes)
         drawn = _drawn(np.linalg.norm(after, axis=1))
         # Dots of one axis are spread over its lane by the golden ratio, which never repeats nor clusters.
         lane = np.asarray(0.6 * ((drawn * 0.6180339887) % 1.0 - 0.5), dtype=np.float64)
-        marks: list[Mark] = [Points("after", after[drawn, k], float(k) + lane, _size(drawn)) for k in range(len(axes))]
-        biases = ", ".join(f"{axis} {signed(mean, 4)}" for axis, mean in zip(axes, after.mean(axis=0), strict=True))
+        marks: list[charts.Mark] = [
+            charts.Points("after", after[drawn, k], float(k) + lane, _size(drawn)) for k in range(len(axes))
+        ]
+        biases = ", ".join(
+            f"{axis} {sheets.signed(mean, 4)}" for axis, mean in zip(axes, after.mean(axis=0), strict=True)
+        )
         title = f"Errors left along {', '.join(axes)}"
-        picture = chart(linear(f"measured minus predicted [{shown}]", after), y, marks)
+        picture = charts.chart(charts.linear(f"measured minus predicted [{shown}]", after), y, marks)
         pictures.append(Picture(title, picture, f"Means in {shown}: {biases}."))
     if not rows:  # of pixels and lengths there are no axes
         return []

@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields, refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
@@ -83,6 +83,7 @@ class DhTable:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
+        own_fields(self)
         check_convention(self.convention)
         names = [row.joint for row in self.rows]
         for row in self.rows:

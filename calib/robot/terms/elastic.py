@@ -1,22 +1,17 @@
 """Wind-up: the drive gives way to what it holds against gravity, at nominal geometry. Basis: -tau."""
 
-from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Shares
+from calib.robot.terms.kind import Coefficient, Compliance, Dimension
 from calib.robot.terms.term import JointTerm
 
 
-class Elastic(Kind):
+class Elastic(Compliance):
     """A compliance: 100 Nm wind a drive up by a milliradian, 10 kN press a spindle in by a millimetre."""
 
     names = ("elastic",)
     key = "elastic"
     coefficients = {"angle": Coefficient("rad/Nm", 1e-5), "length": Coefficient("m/N", 1e-7)}
     shown = {"rad/Nm": "urad/Nm", "m/N": "um/N"}
-    masses = "stated"
     priors = {"angle": "elastic", "length": "elastic_sliding"}
-
-    def basis(self, shares: Shares) -> Basis:
-        """Return what the readings hold, the other way round."""
-        return lambda rows: -rows.held[:, shares.coordinate]
 
     def group(self, term: JointTerm, dimension: Dimension) -> str:
         """Return the name of all compliances of one unit."""

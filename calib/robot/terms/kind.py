@@ -243,3 +243,13 @@ class Kind(ABC):
         """Return whether rows with these conditions could show such a term of the reading of this number."""
         told_apart = all(own.shows(told, reading) for own in self.needs)
         return told_apart and (self.masses != "stated" or parts.weighed())
+
+
+class Compliance(Kind):
+    """A kind of joint terms by which something gives way to what it holds of stated masses."""
+
+    masses: ClassVar[Literal["none", "stated", "unknown"]] = "stated"
+
+    def basis(self, shares: Shares) -> Basis:
+        """Return what is held there, the other way round."""
+        return lambda rows: -rows.held[:, shares.coordinate]

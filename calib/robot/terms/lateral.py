@@ -5,32 +5,27 @@ the joint is placed, and does not turn with it. Basis: -tau about the axis, at n
 """
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 from calib.foundations.selection import select
 from calib.robot.flexures import Flexure, tilting
 from calib.robot.skeleton import Segment
-from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Parts, Shares
+from calib.robot.terms.kind import Coefficient, Compliance, Dimension, Parts
 from calib.robot.terms.moment import OfMasses
 from calib.robot.terms.term import JointTerm
 
 _AXES = "xyz"
 
 
-class Lateral(Kind):
+class Lateral(Compliance):
     """The tilt of a bearing: 100 Nm tilt it by a milliradian."""
 
     names: ClassVar[tuple[str, ...]] = tuple(f"lateral_{axis}" for axis in _AXES)
     key = "lateral"
     coefficients = {"angle": Coefficient("rad/Nm", 1e-5)}
     shown = {"rad/Nm": "urad/Nm"}
-    masses: ClassVar[Literal["none", "stated", "unknown"]] = "stated"
     of_link = True
     chosen_by_data = False
-
-    def basis(self, shares: Shares) -> Basis:
-        """Return what the bearings hold about their axes, the other way round."""
-        return lambda rows: -rows.held[:, shares.coordinate]
 
     def motions(self, segments: Sequence[Segment], joint: int, term: JointTerm) -> tuple[Flexure, ...]:
         """Return the turn about the term's axis."""
@@ -69,11 +64,6 @@ class LateralMoment(OfMasses, Lateral):
     key = "lateral_moments"
     coefficients = {"angle": Coefficient("kg m rad/Nm", 1e-4)}
     shown = {"kg m rad/Nm": "kg m urad/Nm", "kg rad/Nm": "kg urad/Nm"}
-
-    def coefficient(self, term: JointTerm, dimension: Dimension) -> Coefficient:
-        """Return unit and size: of a mass that slides there are no metres."""
-        unit, typical_size = self.coefficients["angle"]
-        return Coefficient("kg rad/Nm" if term.body.endswith("_mass") else unit, typical_size)
 
     def there(self, parts: Parts, term: JointTerm) -> bool:
         """Return whether the robot has that mass, and the joint that axis."""

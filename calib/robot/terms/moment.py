@@ -11,6 +11,8 @@ from calib.robot.conditions import Conditions
 from calib.robot.terms.kind import Basis, Coefficient, Dimension, Kind, Parts, Rows, Shares
 from calib.robot.terms.term import JointTerm
 
+_WITHOUT_METRES = {"kg m rad/Nm": "kg rad/Nm", "kg m2/N": "kg m/N"}
+
 
 class OfMasses(Kind):
     """Compliance times a mass, or first moment of mass, that nobody states: a coefficient for each link."""
@@ -25,6 +27,11 @@ class OfMasses(Kind):
             return -rows.weights.of_units(rows.readings, rows.conditions)[units, :, shares.coordinate].T
 
         return found
+
+    def coefficient(self, term: JointTerm, dimension: Dimension) -> Coefficient:
+        """Return unit and size: of a mass that slides there are no metres."""
+        own = super().coefficient(term, dimension)
+        return own._replace(unit=_WITHOUT_METRES[own.unit]) if term.body.endswith("_mass") else own
 
     def well_formed(self, term: JointTerm) -> bool:
         """Return whether it names a mass."""
@@ -50,13 +57,6 @@ class Moment(OfMasses):
         "kg m/N": "kg um/N",
         "kg m2/N": "kg m um/N",
     }
-
-    def coefficient(self, term: JointTerm, dimension: Dimension) -> Coefficient:
-        """Return unit and size: of a mass that slides there are no metres."""
-        unit, typical_size = self.coefficients[dimension]
-        if term.body.endswith("_mass"):
-            unit = "kg rad/Nm" if dimension == "angle" else "kg m/N"
-        return Coefficient(unit, typical_size)
 
     def there(self, parts: Parts, term: JointTerm) -> bool:
         """Return whether the robot has that mass."""
