@@ -130,7 +130,7 @@ def _identify(
     _refuse_losses(losses, sets)
     if losses is not None:
         problem = replace(problem, given_losses=tuple(losses))
-    before_fit = residuals(model.robot, sets, nominal)
+    before_fit = problem.residuals_of(nominal)
     x0 = values_at(model.robot, parameters, reference, deviations)
     problem, found, learned = solve_learning(problem, x0, variances, None if near is None else _near(near, problem, x0))
     found = _with_anchors(problem, found, variances)
@@ -156,7 +156,7 @@ def _identify(
         given = _given(problem, variances)
         found = solve(problem, values_at(model.robot, problem.parameters, reference, deviations), given)
     machine = problem.machine(found.x)
-    after = residuals(model.robot, sets, machine)
+    after = problem.residuals_of(machine)
     spread_out = _with_common(problem, found.variances)
     sigmas = weights.sigmas_of(plain, spread_out, after)
     spread, memories = with_memory(replace(problem, together=()), found.x, sigmas, after, found.spread)

@@ -141,7 +141,11 @@ class Problem:
 
     def residuals(self, x: Array) -> tuple[Array, ...]:
         """Return the residuals (N, d) of every set at parameter values x (p,)."""
-        return residuals(self.model.robot, self.measurements, self.machine(x))
+        return self.residuals_of(self.machine(x))
+
+    def residuals_of(self, at: Machine) -> tuple[Array, ...]:
+        """Return the residuals (N, d) of every set for a machine."""
+        return residuals(self.model.robot, self.measurements, at, self.nominals)
 
     def evaluate(self, sigmas: Sequence[Array], x: Array) -> "Evaluation":
         """Return :func:`evaluate` of this problem, targets told apart."""
@@ -314,9 +318,14 @@ def with_twists(
     return PhotographRows(J, own, block, by_twist, r)
 
 
-def residuals(robot: Robot, measurements: Sequence[Measurements], at: Machine) -> tuple[Array, ...]:
-    """Return the residuals (N, d) of every set, measured minus predicted, in SI units, for a machine."""
-    links, found = _Links(robot, at.deviations), []
+def residuals(
+    robot: Robot, measurements: Sequence[Measurements], at: Machine, nominals: Nominals | None = None
+) -> tuple[Array, ...]:
+    """Return the residuals (N, d) of every set, measured minus predicted, in SI units, for a machine.
+
+    ``nominals``: where they are made already.
+    """
+    links, found = _Links(robot, at.deviations, nominals), []
     for data in measurements:
         residual = np.empty(data.sigma.shape)
         for rows in _blocks(data):

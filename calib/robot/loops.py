@@ -156,8 +156,9 @@ class Closure:
             if self._types[j] == "prismatic":
                 p = p + R[2] * q[:, j]
             else:
-                c, s = np.cos(q[:, j]), np.sin(q[:, j])
-                R = np.stack([R[0] * c + R[1] * s, R[1] * c - R[0] * s, R[2]])
+                c, s, before = np.cos(q[:, j]), np.sin(q[:, j]), R
+                R = np.empty_like(before)
+                R[0], R[1], R[2] = before[0] * c + before[1] * s, before[1] * c - before[0] * s, before[2]
         return [*found, _Frames(R, p)]
 
     def _gaps(self, q: Array, starts: Sequence[Sequence[_Frames]]) -> tuple[Array, Array]:
@@ -229,7 +230,10 @@ def _placed(R: Array, p: Array, placement: Array) -> _Frames:
 
 def _cross(a: Array, b: Array) -> Array:
     """Return cross products (3, ...); numpy's own takes several times as long."""
-    return np.stack([a[j] * b[k] - a[k] * b[j] for j, k in ((1, 2), (2, 0), (0, 1))])
+    found = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.subtract(a[j] * b[k], a[k] * b[j], out=found[i])
+    return found
 
 
 def _smallest_singular_value(slope: Array) -> Array:
