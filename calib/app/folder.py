@@ -19,8 +19,8 @@ from itertools import takewhile
 from pathlib import Path, PurePosixPath
 from typing import IO, Literal
 
-from calib.foundations.errors import DAMAGED, OutputError
-from calib.foundations.files import sentences, write_atomically
+from calib.foundations.errors import OutputError
+from calib.foundations.files import DAMAGED, sentences, write_atomically
 from calib.foundations.words import shown
 from calib.measurement.formats.images import ENDINGS
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from calib.app.folder import JOB, RESULTS, SESSION, apart, chosen, is_there, kind_of, remove, take, unpacked
-from calib.foundations.errors import DAMAGED, JobError, OutputError
-from calib.foundations.files import LARGEST_JSON, read_inside, write_atomically
+from calib.foundations.errors import JobError, OutputError
+from calib.foundations.files import DAMAGED, LARGEST_JSON, read_inside, write_atomically
 from calib.foundations.words import shown
 from calib.robot.sources import EXAMPLE
 

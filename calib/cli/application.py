@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, is_dataclass
-from functools import update_wrapper
+from functools import cache, update_wrapper
 from inspect import Parameter, Signature, signature
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -86,9 +86,13 @@ def _spread(function: Callable[..., None]) -> Callable[..., None]:
 
 def _options(one: Parameter) -> list[Parameter]:
     kind: Callable[..., Any] = one.annotation
-    every = [*signature(kind).parameters.values()] if is_dataclass(kind) else [one]
+    return _bundled(kind) if is_dataclass(kind) else [one.replace(kind=Parameter.KEYWORD_ONLY)]
+
+
+@cache
+def _bundled(kind: Callable[..., Any]) -> list[Parameter]:
     # Each is given by its name: those without a default may follow others.
-    return [option.replace(kind=Parameter.KEYWORD_ONLY) for option in every]
+    return [option.replace(kind=Parameter.KEYWORD_ONLY) for option in signature(kind).parameters.values()]
 
 
 @dataclass(frozen=True, slots=True)

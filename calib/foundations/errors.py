@@ -5,8 +5,6 @@ The command line prints it and exits with 1; anything else that escapes is a bug
 """
 
 import re
-import struct
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -22,13 +20,6 @@ _LONG_WORD = re.compile(rf"\S{{{_LONGEST_WORD},}}")
 
 def _shortened(text: str, most: int = _LONGEST) -> str:
     return text if len(text) <= most else f"{text[: most // 2]}...{text[-most // 2 :]}"
-
-
-# What libraries were seen to raise at damaged files: they have no exception of their own.
-DAMAGED = (
-    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, NameError, OSError),
-    *(RuntimeError, StopIteration, SyntaxError, TypeError, ValueError, struct.error, zlib.error),
-)
 
 
 class CalibError(Exception):

@@ -5,7 +5,9 @@ import hashlib
 import os
 import secrets
 import stat
+import struct
 import sys
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
@@ -20,6 +22,11 @@ LARGEST_JSON = 100_000_000
 _PIECE = 1 << 24
 # Never waited for, as a pipe would be; never taken for the terminal of this process; not handed on to others.
 _READ = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
+# What libraries were seen to raise at damaged files: they have no exception of their own.
+DAMAGED = (
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, NameError, OSError),
+    *(RuntimeError, StopIteration, SyntaxError, TypeError, ValueError, struct.error, zlib.error),
+)
 
 
 def read_bytes(path: Path, error: type[CalibError], largest: int = LARGEST_INPUT) -> bytes:

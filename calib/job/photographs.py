@@ -25,6 +25,7 @@ from calib.measurement.formats.images import (
     ENDINGS,
     LEAST_CORNERS,
     MOST_BLUR,
+    NOTHING_SEEN,
     Detection,
     detector,
     read_image,
@@ -205,9 +206,6 @@ def import_photographs(
     return imported
 
 
-_NOTHING = Detection(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
-
-
 def _files(folder: Path) -> list[Path]:
     with sentences(folder, MeasurementError):
         found = sorted(file for file in folder.iterdir() if file.suffix.lower() in ENDINGS and file.is_file())
@@ -220,7 +218,7 @@ def _look(file: Path, detect: Callable[[Array], Detection]) -> Photograph:
     try:
         grey = read_image(file)
     except MeasurementError as e:
-        return Photograph(file.name, (0, 0), _NOTHING, str(e).removeprefix(f"{file}: ").rstrip("."), b"")
+        return Photograph(file.name, (0, 0), NOTHING_SEEN, str(e).removeprefix(f"{file}: ").rstrip("."), b"")
     found = detect(grey)
     return Photograph(file.name, (grey.shape[1], grey.shape[0]), found, _why(found), thumbnail(grey))
 

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calib.foundations.arrays import Array, IntArray, read_only
-from calib.foundations.errors import DAMAGED
+from calib.foundations.files import DAMAGED
 from calib.foundations.units import DEG
 from calib.robot.mesh_counts import MOST_CORNERS, counts
 

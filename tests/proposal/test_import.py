@@ -3,12 +3,14 @@
 import json
 import os
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import calib
+from calib.measurement.formats import arrays, workbook
 from calib.measurement.formats.sheet import joined, read_sheet
 from tests.support.cases import run
 from tests.support.people import UR10, quaternions, session, text
@@ -205,6 +207,17 @@ def test_a_workbook_in_the_place_of_a_table_says_what_to_do(folder: Path) -> Non
     said = run("init", UR10, "m.xlsx")
     expected = "Error: m.xlsx: is a workbook, and no text; calib import m.xlsx -o table.csv makes a table.\n"
     assert (said.code, said.err) == (1, expected)
+
+
+def test_what_unpacks_to_too_much_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("openpyxl")
+    np.savez(folder / "m.npz", q=np.zeros((5, 3)))
+    with zipfile.ZipFile(folder / "m.xlsx", "w") as made:
+        made.writestr("xl/worksheets/sheet1.xml", bytes(100))
+    for name, module in (("m.npz", arrays), ("m.xlsx", workbook)):
+        monkeypatch.setattr(module, "_LARGEST", 99)
+        with pytest.raises(calib.MeasurementError, match=rf"^{name}: unpacks to more than 99 bytes\.$"):
+            read_sheet(name)
 
 
 @pytest.mark.skipif(not PUBLISHED.is_dir(), reason="CALIB_DATASETS names no folder with peoples_files")

@@ -29,7 +29,7 @@ def pose(xyz: Sequence[float] | Array = (0, 0, 0), rotvec: Sequence[float] | Arr
     """Placement(s) (..., 4, 4) of translations (..., 3) and rotation vectors (..., 3)."""
     rotvec = np.asarray(rotvec, dtype=float)
     T = np.zeros((*np.broadcast_shapes(np.shape(xyz)[:-1], rotvec.shape[:-1]), 4, 4))
-    T[..., :3, :3] = Rotation.from_rotvec(rotvec).as_matrix()
+    T[..., :3, :3] = Rotation.from_rotvec(np.array(rotvec)).as_matrix()
     T[..., :3, 3], T[..., 3, 3] = xyz, 1.0
     return T
 

@@ -10,7 +10,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from calib.foundations.errors import DAMAGED, MeasurementError
+from calib.foundations.errors import MeasurementError
+from calib.foundations.files import DAMAGED
 
 # Of the archive unpacked.
 _LARGEST = 200_000_000

@@ -119,7 +119,7 @@ def detector(print_: Print) -> Callable[[Array], Detection]:
     def detect(grey: Array) -> Detection:
         marks, pixels = find(grey)
         if len(marks) < 4:
-            return _NOTHING
+            return NOTHING_SEEN
         along, free = _edges(print_, marks, pixels)
         corners = refine(grey, pixels, along, _SHARE * free)
         good = corners.good & (free * _SHARE >= LEAST_RADIUS * 0.8)
@@ -128,7 +128,7 @@ def detector(print_: Print) -> Callable[[Array], Detection]:
     return detect
 
 
-_NOTHING = Detection(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+NOTHING_SEEN = Detection(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
 
 def _charuco(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Array]]:
@@ -139,7 +139,7 @@ def _charuco(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Array
     def find(grey: Array) -> tuple[IntArray, Array]:
         corners, ids, _, _ = found.detectBoard(grey)
         if ids is None or corners is None:
-            return _NOTHING.marks, _NOTHING.pixels
+            return NOTHING_SEEN.marks, NOTHING_SEEN.pixels
         return ids.ravel().astype(np.intp), corners.reshape(-1, 2).astype(np.float64)
 
     return find
@@ -151,7 +151,7 @@ def _chessboard(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Ar
     def find(grey: Array) -> tuple[IntArray, Array]:
         seen, corners = cv2.findChessboardCornersSB(grey, (across, down), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if not seen:
-            return _NOTHING.marks, _NOTHING.pixels
+            return NOTHING_SEEN.marks, NOTHING_SEEN.pixels
         pixels = corners.reshape(-1, 2).astype(np.float64)
         # The squares that the first and the last corner have on their outer sides differ: the first one's is black.
         grid = pixels.reshape(down, across, 2)

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.foundations.errors import DAMAGED, MeasurementError
-from calib.foundations.files import read_bytes, sentences
+from calib.foundations.errors import MeasurementError
+from calib.foundations.files import DAMAGED, read_bytes, sentences
 from calib.foundations.words import listed, near, shown
 from calib.measurement.formats.sheet import Sheet
 from calib.measurement.formats.unpacking import limited

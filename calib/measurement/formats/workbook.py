@@ -6,7 +6,8 @@ import zipfile
 from collections.abc import Sequence
 from typing import Any
 
-from calib.foundations.errors import DAMAGED, MeasurementError
+from calib.foundations.errors import MeasurementError
+from calib.foundations.files import DAMAGED
 from calib.measurement.layout import is_number
 
 # Of the archive unpacked; a workbook of a million cells has some 50 MB.
