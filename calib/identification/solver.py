@@ -130,7 +130,8 @@ def seek(
         raise JobError(f"{len(fixed)} model sigmas are given for {len(problem.components)} components of the data.")
     search = _Search(problem, _Evaluator(problem, s), _Prior.of(problem, x0 / s), fixed)
     begin = search.beginning()
-    first = search.evaluator(x0 / s, begin.sigmas)
+    # Of the start only what all rows say together is asked for again.
+    first = search.evaluator(x0 / s, begin.sigmas)._replace(residuals=())
     _refuse_too_few(problem, first, search.prior)
     if near is not None:
         end, converged = search.gauss_newton(near.x / s, search.beginning(near.variances), near=True)
@@ -304,9 +305,14 @@ class _Point(NamedTuple):
         return cls(z, evaluation, weighted_by, noise, data, rows, Inverse.of(rows, _SINGULAR).step)
 
     @property
+    def passed(self) -> "_Passed":
+        """What is remembered of it when the search has gone on."""
+        return _Passed(self.z, self.full)
+
+    @property
     def length(self) -> float:
         """Length of the full step, in parameter scales."""
-        return float(np.max(np.abs(self.full)))
+        return self.passed.length
 
     def at_rest(self, *, slowly: bool) -> bool:
         """Whether nothing is left to be done; ``slowly``: where the search has come slowly, nothing of significance."""
@@ -439,11 +445,11 @@ class _Search(NamedTuple):
         def accepted(z: Array, evaluation: Evaluation, weighted_by: _Noise) -> _Point:
             return _Point.of(z, evaluation, weighted_by, self.noise(z, evaluation, weighted_by))
 
-        def slowly(path: Sequence[_Point], failures: int, steps: int) -> bool:
+        def slowly(path: Sequence[_Passed], failures: int, steps: int) -> bool:
             return near or (self.prior.has_weak and (failures > 0 or steps > _MANY_STEPS or _slow(path)))
 
         good = tried = accepted(z, self.evaluator(z, weighted_by.sigmas), weighted_by)
-        path, damping, failures = [good], 0.0, 0
+        path, damping, failures = [good.passed], 0.0, 0
         for steps in range(_MOST_ROBUST_STEPS if self.problem.robust else _MOST_STEPS):
             if failures > _MOST_FAILURES or good.at_rest(slowly=slowly(path, failures, steps)):
                 break
@@ -451,11 +457,11 @@ class _Search(NamedTuple):
             if tried is not good:
                 z = tried.z + (tried.full if tried.length < _SHORTER * good.length else tried.correction)
             else:
-                z = good.z + (good.step(damping) if damping else _accelerated(path))
+                z = good.z + (good.step(damping) if damping else _accelerated(path, noise.prior))
             try:
                 evaluation = self.evaluator(z, noise.sigmas)
             except PoseError:  # a step that opens a loop tells nothing of the cost, and a shorter one may
-                tried, damping, path = good, max(10.0 * damping, _LEAST_DAMPING), [good]
+                tried, damping, path = good, max(10.0 * damping, _LEAST_DAMPING), [good.passed]
                 continue
             as_before, solved = self._inverted(z, evaluation, noise._replace(factors=np.ones(len(self.fixed))))
             trial = _Point(z, evaluation, noise, as_before, *solved)
@@ -466,23 +472,35 @@ class _Search(NamedTuple):
                 good = tried = accepted(z, evaluation, noise)
                 # Steps tell something of each other only while rows are weighted alike.
                 alike = np.max(np.abs(np.log(good.noise.factors))) < _ALIKE
-                path = [*path[-_REMEMBERED:], good] if alike and not self.problem.robust else [good]
+                path = [*path[-_REMEMBERED:], good.passed] if alike and not self.problem.robust else [good.passed]
                 damping = damping / 10.0 if damping > _LEAST_DAMPING else 0.0
             elif tried is good or cost < _CLEARLY_LESS * tried.cost(noise):
                 tried = trial
             else:
                 tried, failures, damping = good, failures + 1, max(10.0 * damping, _LEAST_DAMPING)
-                path = [good]
+                path = [good.passed]
         # Where nothing lowers the cost, and little is foretold to, the search has come as far as rounding lets it.
         stuck = failures > _MOST_FAILURES and good.noise.settled and good.gain < _HARDLY_A_GAIN
         return good, stuck or good.at_rest(slowly=slowly(path, failures, steps))
 
 
-def _slow(path: Sequence[_Point]) -> bool:
+class _Passed(NamedTuple):
+    """What is remembered of a point that was passed, without its rows: z (p,) and the full step (p,) from there."""
+
+    z: Array
+    full: Array
+
+    @property
+    def length(self) -> float:
+        """Length of the full step, in parameter scales."""
+        return float(np.max(np.abs(self.full)))
+
+
+def _slow(path: Sequence[_Passed]) -> bool:
     return len(path) > 2 and path[-1].length > _QUICK * path[-2].length
 
 
-def _accelerated(path: Sequence[_Point]) -> Array:
+def _accelerated(path: Sequence[_Passed], prior: _Prior) -> Array:
     """Return the next step (p,): the full one, or where full steps shrink slowly, what the last ones foretell.
 
     Where residuals bend as much as priors hold, full steps converge slowly along a few directions (D. G. Anderson,
@@ -492,7 +510,7 @@ def _accelerated(path: Sequence[_Point]) -> Array:
     if not _slow(path):
         return last.full
     # Lengths are those of the priors, in which all parameters compare.
-    units = np.where(last.noise.prior.hold > 0.0, last.noise.prior.hold, 1.0)
+    units = np.where(prior.hold > 0.0, prior.hold, 1.0)
     Z, F = (np.diff(np.column_stack([getattr(at, name) for at in path])) for name in ("z", "full"))
     gamma = np.linalg.lstsq(units[:, None] * F, units * last.full, rcond=1e-6)[0]
     return np.asarray(last.full - (Z + F) @ gamma)

@@ -33,14 +33,14 @@ def sigmas_of(
     if r is None:
         return plain
     return tuple(
-        sigma / np.sqrt(losses.weight(loss, t))[:, None]
-        for loss, sigma, t in zip(problem.losses, plain, _row_distances(plain, r), strict=True)
+        sigma if loss == "linear" else sigma / np.sqrt(losses.weight(loss, _row_distances(sigma, own)))[:, None]
+        for loss, sigma, own in zip(problem.losses, plain, r, strict=True)
     )
 
 
-def _row_distances(sigmas: Sequence[Array], r: Sequence[Array]) -> tuple[Array, ...]:
-    """Return how far off (N,) the rows of every set are, 1 for an ordinary one."""
-    return tuple(np.sqrt(np.mean((residual / sigma) ** 2, axis=1)) for residual, sigma in zip(r, sigmas, strict=True))
+def _row_distances(sigma: Array, residual: Array) -> Array:
+    """Return how far off (N,) the rows of a set are, 1 for an ordinary one."""
+    return np.asarray(np.sqrt(np.mean((residual / sigma) ** 2, axis=1)))
 
 
 def _plain_sigmas(problem: LeastSquares, variances: Sequence[float], *, search: bool) -> tuple[Array, ...]:
@@ -82,12 +82,13 @@ def model_variances(
     ``variances``: the last ones, by which losses tell which rows lie off. ``search``: only where the instrument's noise
     clearly does not explain the residuals.
     """
-    counted = [
-        residual * np.sqrt(losses.scatter_weight(loss, t) / losses.shrinkage(loss, residual.shape[1]))[:, None]
-        for loss, residual, t in zip(
-            problem.losses, r, _row_distances(_plain_sigmas(problem, variances, search=search), r), strict=True
-        )
-    ]
+    counted = list(r)
+    if problem.robust:
+        plain = _plain_sigmas(problem, variances, search=search)
+        for i, (loss, sigma, residual) in enumerate(zip(problem.losses, plain, r, strict=True)):
+            if loss != "linear":
+                share = losses.scatter_weight(loss, _row_distances(sigma, residual))
+                counted[i] = residual * np.sqrt(share / losses.shrinkage(loss, residual.shape[1]))[:, None]
     return tuple(
         model_variance(
             counted[c.measurements][:, c.columns].ravel(),

@@ -24,8 +24,8 @@ HERE = Path(__file__).resolve().parents[2]
 PAGE = """# Where users wait
 
 Made by `python scripts/benchmarks/commands.py{arguments} --markdown docs/benchmark_commands.md`, one BLAS thread, on a
-machine that others used at the same time. Seconds are the processor's, of whole processes, medians of {repeats};
-commands take turns.{before}
+machine that others used at the same time. Seconds are the processor's, of whole processes: of each the median of so
+many runs: {repeats}.{before}
 
 """
 BEFORE = """ Before: a checkout of {date}. Where a command of both does not print the same, what it chooses or
