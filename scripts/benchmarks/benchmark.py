@@ -329,7 +329,7 @@ find.
 
 Of 100 rows calls cost more than numbers, so that some lines tell parts: what NumPy needs at least where Pinocchio has
 left all frames; ours where the machine was made of its parameters before, as it is for plain NumPy and C++; and ours of
-a single row, for which every call is made that all rows need, but those of Pinocchio.
+a single row, for which every call is made that all rows need, with those of Pinocchio once.
 
 The rest is of {poses} rows where nothing else is said, as multiples of the bare Pinocchio loop in Python. The
 least-squares fit by 2-point differences is what one would write first: it is given our start values, scales and wide

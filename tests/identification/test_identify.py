@@ -8,6 +8,7 @@ import pytest
 
 import calib
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.identification.identify import identify_near
 from calib.identification.parameters import scales
 from tests.support import machines
 from tests.support.machines import Machine, anywhere, miss, pose, predicted
@@ -284,3 +285,22 @@ def test_rows_that_weigh_alike_are_aligned_as_well_as_they_are_fitted(tool: str)
     np.testing.assert_allclose(aligned.nominal.frames.base, fitted.nominal.frames.base, atol=1e-10)
     np.testing.assert_allclose(aligned.nominal.frames.tools, fitted.nominal.frames.tools, atol=1e-10)
     np.testing.assert_allclose(aligned.values, fitted.values, atol=1e-9)
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+def test_beginning_at_a_fit_to_all_rows_changes_no_fit_to_some_of_them(observes: str) -> None:
+    """Nor does beginning at the fit to an outright different machine of that arm."""
+    lab, other = Lab(), Lab(seed=1)
+    data = lab.measure(120, observes)
+    some = data.subset(np.arange(120) % 3 != 0)
+    cold = calib.identify(lab.model(), some)
+    for near in (calib.identify(lab.model(), data), calib.identify(other.model(), other.measure(120, observes))):
+        fit = identify_near(near, lab.model(), some)
+        assert fit.converged
+        assert (fit.rank, fit.numerical_rank) == (cold.rank, cold.numerical_rank)
+        known = ~cold.unidentifiable
+        assert np.max(np.abs(fit.values - cold.values)[known] / cold.sigmas[known]) < 0.01
+        np.testing.assert_allclose(fit.sigmas[known], cold.sigmas[known], rtol=1e-3)
+        tips, expected = (predicted(one, lab.unseen) for one in (fit, cold))
+        np.testing.assert_allclose(tips[:, :3, 3], expected[:, :3, 3], rtol=0.0, atol=0.01 * SIGMA)
+        np.testing.assert_allclose(tips, expected, rtol=0.0, atol=0.01 * 2 * SIGMA)
