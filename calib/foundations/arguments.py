@@ -67,12 +67,22 @@ def own_fields(made: Any) -> None:
 
 
 def _owned(value: Any) -> Any:
-    if isinstance(value, dict):
+    if isinstance(value, dict | MappingProxyType):
         return {key: _owned(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray) and value.flags.writeable:
+    if isinstance(value, np.ndarray) and _may_change(value):
         value = value.copy()
         value.flags.writeable = False
     return value
+
+
+def _may_change(array: npt.NDArray[Any]) -> bool:
+    """Tell whether somebody can write to the numbers of an array, be it through what it is a view of."""
+    viewed: object = array
+    while isinstance(viewed, np.ndarray):
+        if viewed.flags.writeable:
+            return True
+        viewed = viewed.base
+    return False
 
 
 @functools.cache
@@ -124,7 +134,7 @@ def _anything(_value: Any) -> bool:
 def _test_of_generic(origin: Any, inner: tuple[Any, ...]) -> _Test:
     if origin is np.ndarray:
         allowed = _STANDS_FOR[np.dtype(get_args(inner[1])[0]).kind]
-        return lambda value: isinstance(value, np.ndarray) and not _is_masked(value) and value.dtype.kind in allowed
+        return lambda value: isinstance(value, np.ndarray) and not _is_odd(value) and value.dtype.kind in allowed
     if origin is abc.Callable:
         return callable
     if origin is abc.Mapping:
@@ -175,6 +185,11 @@ def _is_numbers(value: Any) -> bool:
         return False
 
 
+def _is_odd(value: object) -> bool:
+    """Tell whether an array counts or slices otherwise than others; a matrix keeps two dimensions in all it gives."""
+    return _is_masked(value) or isinstance(value, np.matrix)
+
+
 def _is_masked(value: object) -> bool:
     """Tell whether an array says that some of its numbers are none; nobody here would listen."""
     return isinstance(value, np.ma.MaskedArray)
@@ -207,7 +222,8 @@ def _told(value: object) -> str:
             return text
     name = type(value).__name__
     if isinstance(value, np.ndarray):
-        return f"{'a masked array' if _is_masked(value) else 'an array'} of {value.dtype}"
+        kind = "a masked array" if _is_masked(value) else "a matrix" if _is_odd(value) else "an array"
+        return f"{kind} of {value.dtype}"
     if isinstance(value, list | tuple):
         return shortened(f"a {name} of {', '.join(dict.fromkeys(type(one).__name__ for one in value))}")
     return f"{_article(name)} {name}"

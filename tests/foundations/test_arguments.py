@@ -4,6 +4,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -252,3 +253,26 @@ def test_what_was_given_is_kept_whatever_its_owner_does_later() -> None:
     np.testing.assert_array_equal(machine.predict(readings), before)
     with pytest.raises(ValueError, match="read-only"):
         machine.base[0, 3] = 1.0
+
+
+def test_views_of_what_others_may_write_to_are_copied() -> None:
+    robot = calib.load_robot("example:ur_description/urdf/ur10_robot.urdf", tip="tool0")
+    deviations = calib.Deviations(np.zeros((len(robot.chain), 6)), np.zeros(6))
+    base, tools = np.eye(4), {"tool": np.eye(4)}
+    view = base[:]
+    view.flags.writeable = False
+    machine = calib.CalibratedMachine(robot, deviations, np.broadcast_to(view, (4, 4)), MappingProxyType(tools))
+    base[0, 3] = tools["tool"][0, 3] = 1.0
+    tools.clear()
+    np.testing.assert_array_equal(machine.base, np.eye(4))
+    np.testing.assert_array_equal(machine.tools["tool"], np.eye(4))
+    again = calib.CalibratedMachine(robot, deviations, machine.base, machine.tools)
+    assert again.base is machine.base
+
+
+def test_a_matrix_is_refused_in_a_sentence() -> None:
+    robot = calib.load_robot("example:ur_description/urdf/ur10_robot.urdf", tip="tool0")
+    deviations = calib.Deviations(np.zeros((len(robot.chain), 6)), np.zeros(6))
+    matrix = np.eye(4).view(np.matrix)
+    with pytest.raises(calib.CalibError, match="base is a matrix of float64; needs an array of numbers"):
+        calib.CalibratedMachine(robot, deviations, matrix, {"tool": np.eye(4)})
