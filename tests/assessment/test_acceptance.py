@@ -17,6 +17,7 @@ from calib.foundations.errors import MeasurementError
 from calib.machine.calibrated import machine_of
 from calib.machine.grid import Leaning
 from calib.machine.residual_model import ResidualModel
+from calib.presentation.acceptance_tables import verification_lines
 from tests.support import machines
 from tests.support.cases import copy_case, run
 from tests.support.machines import Array, Machine, anywhere, pose
@@ -84,6 +85,8 @@ def test_a_shifted_zero_fails_and_a_moved_base_only_with_its_old_place() -> None
     assert not bent.passed
     assert bent.base_refitted is not None
     assert not bent.base_refitted.test.passed
+    said = [str(line) for line in verification_lines(bent)]
+    assert any("mm rms, more than the stated uncertainty explains: the arm itself has changed, or" in line for line in said)
     moved = replace(true, base=true.base @ pose((3e-4, -4e-4, 0.0), (0.0, 0.0, 1e-3)))
     data = seen(moved, 12, 7)
     standing, refitted = verify(u, data), verify(u, data, refit=True)
