@@ -247,7 +247,7 @@ def _on_cluster(client: Any, address: str, jobs: Sequence[FleetJob]) -> Generato
 
     No wait is without end: raises JobError when there has been no worker for some time, or no scheduler.
     """
-    from distributed import wait  # noqa: PLC0415 - an optional dependency
+    from distributed import CancelledError, wait  # noqa: PLC0415 - an optional dependency
 
     folder = str(Path.cwd())
     waiting = {
@@ -256,7 +256,8 @@ def _on_cluster(client: Any, address: str, jobs: Sequence[FleetJob]) -> Generato
     last_seen = time.monotonic()
     try:
         while waiting:
-            with suppress(TimeoutError), client.as_current():
+            # Futures are cancelled when the connection to the scheduler is lost; their status says so too.
+            with suppress(TimeoutError, CancelledError), client.as_current():
                 wait(list(waiting), timeout=_LOOK, return_when="FIRST_COMPLETED")
             for future in [future for future in waiting if future.status != "pending"]:
                 yield _ended(future, waiting.pop(future), address)

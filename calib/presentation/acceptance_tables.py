@@ -45,8 +45,8 @@ def verification_lines(found: Verification) -> list[str | Text]:
         else:
             left = figures_in("m", anew.metrics["position"].rms)[0]
             lines.append(
-                f"A base moved by {by} leaves {left} mm rms, more than the stated uncertainty explains: the arm itself has "
-                "changed, or its uncertainty is stated too small."
+                f"A base moved by {by} leaves {left} mm rms, more than the stated uncertainty explains: the arm itself "
+                "has changed, or its uncertainty is stated too small."
             )
     lines.append(Text("Passed." if found.passed else "Failed.", style="bold green" if found.passed else "bold red"))
     return lines

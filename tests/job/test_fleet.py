@@ -7,6 +7,7 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -325,6 +326,31 @@ def test_a_cluster_that_loses_all_its_workers_is_not_waited_for(folder: Path, mo
             run_fleet(chosen, dask=address, progress=lambda _: cluster.scale(0))
     assert str(caught.value) == f"{address}: the Dask cluster has no worker."
     assert 1 <= sum(map(unchanged, chosen)) < len(many)
+
+
+def test_a_scheduler_that_dies_in_the_middle_is_said(folder: Path) -> None:
+    pytest.importorskip("distributed")
+    many = [f"job_{k}.toml" for k in range(4)]
+    for name in many:
+        (folder / "jobs" / name).write_bytes((folder / "jobs/plain.toml").read_bytes())
+    chosen = fleet_jobs([Path(f"jobs/{name}") for name in many], Path("all"))
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    dask = [sys.executable, "-m"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    told = ["--host", address, "--no-dashboard"]
+    scheduler = subprocess.Popen([*dask, "distributed.cli.dask_scheduler", *told], **quiet)  # type: ignore[call-overload]
+    last = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", "30"]
+    worker = subprocess.Popen([*dask, "distributed.cli.dask_worker", address, *last], **quiet)  # type: ignore[call-overload]
+    try:
+        with pytest.raises(JobError, match="the Dask scheduler is gone; what is finished is kept"):
+            run_fleet(chosen, dask=address, progress=lambda _: scheduler.kill())
+    finally:
+        for process in (scheduler, worker):
+            process.kill()
+            process.wait()
+    assert sum(map(unchanged, chosen)) >= 1
 
 
 def test_no_cluster(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
