@@ -199,8 +199,7 @@ def killed_commands(folder: Path, runs: int, seed: int) -> tuple[list[tuple[str,
     for what, command in commands(folder / "commands", results).items():
         place = folder / what
         place.mkdir()
-        os.chdir(place)
-        with contextlib.redirect_stdout(io.StringIO()):
+        with contextlib.chdir(place), contextlib.redirect_stdout(io.StringIO()):
             if (code := called(command)) != 0:  # here, so that all is loaded that the forks need
                 raise SystemExit(f"{what} ended with {code}.")
         wanted = set(tree(place))
@@ -292,6 +291,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="also write the tables into this page")
     arguments = parser.parse_args()
+    page = None if arguments.markdown is None else arguments.markdown.resolve()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         rows, passed = kills(folder, arguments.runs, arguments.seed)
@@ -310,8 +310,8 @@ def main() -> None:
         else:
             lines.append("Full and read-only disks are mounts, and need root: not tried.")
     print("\n".join(lines))
-    if arguments.markdown is not None:
-        put(arguments.markdown, lines)
+    if page is not None:
+        put(page, lines)
     raise SystemExit(0 if good else 1)
 
 

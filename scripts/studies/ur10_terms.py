@@ -99,7 +99,7 @@ def chosen_in_vain(robot: calib.Robot, data: calib.Measurements, machines: int, 
         points = robot.tips(readings, true) @ np.array([0.05, 0.02, 0.15, 1.0])
         columns = {f"{name} [rad]": readings[:, k] for k, name in enumerate(JOINTS)}
         columns |= {f"{x} [m]": points[:, k] + SIGMA * rng.standard_normal(rows) for k, x in enumerate("xyz")}
-        found += choose_terms(model, calib.read_measurements(columns, robot)).taken > 0
+        found += bool(choose_terms(model, calib.read_measurements(columns, robot)).terms)
     return found
 
 
