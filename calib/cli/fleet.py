@@ -1,5 +1,6 @@
 """``calib fleet``: many jobs at once."""
 
+import logging
 from pathlib import Path
 from typing import Annotated
 
@@ -35,6 +36,9 @@ def fleet(
         from calib.presentation.console import show_error, warning
         from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
     chosen = fleet_jobs(jobs, out)
+    if dask is not None:
+        # Of a lost scheduler it tells by tracebacks, and a sentence follows.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
         with made_folder(out):
             with telling.progress(len(chosen), alike=True) as say:

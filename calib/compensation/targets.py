@@ -78,6 +78,7 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool") -> Targe
     for name in columns:
         if name not in known:
             near = nearest(name, sorted(known - columns.keys()))
+            near = near or "; allowed are joints, or x, y, z, with qw, qx, qy, qz of a pose, and what joint terms need"
             raise MeasurementError(f"{where}: column {name!r} is not one of targets{near}.")
     posed = any(name in columns for name in (*position, *rotation))
     tools = cast(tuple[str, ...], columns["tool"].values) if "tool" in columns else (tool,) * len(table)
