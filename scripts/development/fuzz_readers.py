@@ -311,7 +311,7 @@ def _outcome() -> Calibration:
 
 def _short_result() -> dict[str, Any]:
     whole = result(_outcome())
-    kept = ("trusted", "doubts", "metrics", "rank", "outliers")
+    kept = ("trusted", "doubts", "checks", "metrics", "rank", "outliers", "versions", "inputs")
     return {name: whole[name] for name in kept} | {"parameters": whole["parameters"][:2]}
 
 
@@ -322,8 +322,7 @@ def _results() -> Files:
         "nominal.urdf": fit.robot.urdf.source,
         "model.json": model_json(machine_of(fit)).encode(),
         "uncertainty.json": uncertainty_json(machine_of(fit).known_uncertainty, fit.robot).encode(),
-        "result.json": json.dumps({"schema": 1, "parameters": fit.records()[:5]}).encode(),
-        "fleet.json": json.dumps(_short_result()).encode(),
+        "result.json": json.dumps(_short_result()).encode(),
     }
 
 
@@ -600,7 +599,7 @@ READERS: dict[str, Reader] = {
     "case": Reader(_case, _cases, _NUMBERS + _ODD + _TOML + _CSV + _XML),
     "command": Reader(_command, _commands, _MAGNITUDES + _REPEATED + _NUMBERS + _ODD + _TOML + _CSV + _XML, 40_000, 60),
     "result": Reader(_result, lambda: [_results()["result.json"]], _NUMBERS + _ODD + _JSON),
-    "fleet": Reader(_fleet, lambda: [_results()["fleet.json"]], _NUMBERS + _ODD + _JSON),
+    "fleet": Reader(_fleet, lambda: [_results()["result.json"]], _NUMBERS + _ODD + _JSON),
     "model": Reader(_model_file, lambda: [_results()["model.json"]], _NUMBERS + _ODD + _JSON),
     "uncertainty": Reader(
         _uncertainty, lambda: [_results()["uncertainty.json"]], _NUMBERS + _ODD + _JSON, largest=80_000

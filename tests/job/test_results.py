@@ -15,8 +15,8 @@ import calib
 from calib.foundations.errors import OutputError
 from calib.job.inputs import load
 from calib.job.run import run as identify
+from calib.results import calibration
 from calib.results import folder as results
-from calib.results import versions
 from calib.results.calibration import Calibration
 from calib.results.folder import write_results
 from tests.support import machines
@@ -259,7 +259,7 @@ def test_old_results_survive_an_error_at_the_last_moment(
 def test_libraries_known_by_another_name_do_not_cost_the_results(
     outcome: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(versions, "_LIBRARIES", ("no-such-distribution",))
+    monkeypatch.setattr(calibration, "_LIBRARIES", ("no-such-distribution",))
     assert results.result(outcome)["versions"]["no-such-distribution"] is None
 
 
