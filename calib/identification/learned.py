@@ -68,13 +68,14 @@ def solve_learning(
     seen = _seen(rows, len(names))
     few = np.asarray(seen < _FEWEST)
     taught, shown = seen, ~few
-    for _ in range(_MOST_ROUNDS):
+    for first in (True, *(False,) * (_MOST_ROUNDS - 1)):
         new, _, taught, shown = _learned(rows, widths, few)
         change = float(np.max(np.abs(np.log(new / widths))))
         widths = new
         problem = _with_widths(problem, names, widths)
         settled = change < _NEGLIGIBLE_CHANGE
-        found = found.again(problem, roughly=not settled)
+        # Noise that was found with widths as wide as a guess may hold a search where it is: the first one begins anew.
+        found = seek(problem, found.x, variances) if first else found.again(problem, roughly=not settled)
         if settled:
             break
         rows = _equations(problem, found, variances, names)
