@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from calib.assessment.all_harmonics import AllHarmonics, Known, Offer, better
 from calib.assessment.entering import Blocks, Products, filled
 from calib.assessment.validation import (
     HeldOut,
@@ -36,7 +37,6 @@ from calib.assessment.validation import (
     smallest_unharmed,
     some_rows,
 )
-from calib.assessment.waves import Known, Offer, Waves, better
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.brief import brief
@@ -166,7 +166,7 @@ class Choice:
     offered: int
     taken_back: int = 0
     weighed: Weighed | None = None
-    waves: Waves | None = None
+    all_harmonics: AllHarmonics | None = None
 
     @property
     def model(self) -> ErrorModel:
@@ -176,13 +176,13 @@ class Choice:
     @property
     def terms(self) -> tuple[JointTerm, ...]:
         """The chosen terms, in the order of the robot's readings; those of links come last."""
-        if self.waves is not None and self.waves.taken:
-            return self.waves.terms
+        if self.all_harmonics is not None and self.all_harmonics.taken:
+            return self.all_harmonics.terms
         return ordered(self.geometric.robot, _terms(self.steps[: self.taken + 1]))
 
     @property
     def steps_taken(self) -> tuple[bool, ...]:
-        """Which of the steps are taken, of the first one on; a gain is not where waves stand in its place."""
+        """Which of the steps are taken, from the first one on; all harmonics take the place of gains."""
         terms = set(self.terms)
         return tuple(k <= self.taken and terms.issuperset(_terms([step])) for k, step in enumerate(self.steps))
 
@@ -280,9 +280,9 @@ def choose_terms(
         def far() -> _Judged:
             return elsewhere or system.judged(blocks, place, system.products(blocks), among, 0)
 
-        waves = None
+        harmonics = None
         if offered is None and not near.apart and geometric.model.priors.harmonics in (None, "learned"):
-            waves = _waves(system, chosen_from, entered[:most], largest, held, far, progress)
+            harmonics = _all_harmonics(system, chosen_from, entered[:most], largest, held, far, progress)
         steps = tuple(
             Step(
                 None if k == 0 else chosen_from[entered[k - 1]],
@@ -292,7 +292,7 @@ def choose_terms(
             )
             for k, figure in enumerate(figures)
         )
-        found = Choice(steps, most, geometric, geometric, len(group), len(chosen_from), 0, weighed, waves)
+        found = Choice(steps, most, geometric, geometric, len(group), len(chosen_from), 0, weighed, harmonics)
         return _fitted(found, measurements, near.apart, model_sigmas, losses, progress)
 
 
@@ -304,20 +304,20 @@ def _fitted(
     losses: Sequence[Loss] | None,
     progress: Callable[[str], None],
 ) -> Choice:
-    """Return the choice with a fit that converges: with all waves, where they are to be taken, or with fewer steps."""
-    geometric, waves = choice.geometric, choice.waves
+    """Return the choice with a fit that converges: with all harmonics, where these are taken, or with fewer steps."""
+    geometric, harmonics = choice.geometric, choice.all_harmonics
 
     def fitted(model: ErrorModel, choice: Choice) -> Fit:
         progress(f"choosing joint terms: fitting {len(choice.terms)} coefficients")
         chosen = with_terms(model, choice.terms)
         return identify_near(geometric, chosen, measurements, model_sigmas=model_sigmas, losses=losses)
 
-    if waves is not None and waves.taken:
+    if harmonics is not None and harmonics.taken:
         learning = replace(geometric.model, priors=replace(geometric.model.priors, harmonics="learned"))
         fit = fitted(learning, choice)
         if fit.converged:
             return replace(choice, fit=fit)
-        choice = replace(choice, waves=replace(waves, taken=False))
+        choice = replace(choice, all_harmonics=replace(harmonics, taken=False))
     begun, most = _with_learned_widths(geometric.model) if apart else geometric.model, choice.taken
     while choice.taken:
         fit = fitted(begun, choice)
@@ -327,7 +327,7 @@ def _fitted(
     return choice
 
 
-def _waves(
+def _all_harmonics(
     system: "_System",
     offered: Sequence[Candidate],
     entered: Sequence[int],
@@ -335,8 +335,8 @@ def _waves(
     near: "_Judged",
     far: Callable[[], "_Judged"],
     progress: Callable[[str], None],
-) -> Waves | None:
-    """Return how all waves with learned widths stand against the candidates that ``entered``, None without an offer.
+) -> AllHarmonics | None:
+    """Return how all harmonics with learned widths predict beside what ``entered``; None where they are not offered.
 
     Judged by poses held out, ``near``, and by neighbourhoods, ``far``, if geometry alone foretells these.
     """
@@ -348,7 +348,7 @@ def _waves(
         return None
 
     def kept(order: Sequence[int]) -> tuple[int, ...]:
-        """Return those candidates that stay beside waves: a gain says what they say, but grows on without limit."""
+        """Return the candidates beside all harmonics: a gain says what these say, but grows without limit."""
         first = [(k, offered[k].terms[0]) for k in order[: len(entered)]]
         return tuple(k for k, term in first if not (kind_of(term).grows and term.reading in by_reading))
 
@@ -356,7 +356,7 @@ def _waves(
     offer = Offer.of(system.known, columns, near.products, system.columns(kept(entered)), largest)
     if offer is None:
         return None
-    progress("choosing joint terms: judging all waves with learned widths")
+    progress("choosing joint terms: judging all harmonics with learned widths")
 
     def told(of: _Judged) -> tuple[HeldOut, float, bool]:
         values = offer.values(of.products, [system.columns(kept(way.order)) for way in of.ways])
@@ -372,10 +372,10 @@ def _waves(
         away, _, taken = told(elsewhere)
         taken &= elsewhere.figures[0].rms <= _FORETOLD * near.figures[0].rms
     readings = tuple(name for k, name in enumerate(by_reading) if k in offer.kept)
-    waves = [k for name in readings for k in by_reading[name][: offer.order]]
-    every = (term for k in dict.fromkeys((*kept(entered), *waves)) for term in offered[k].terms)
+    harmonics = [k for name in readings for k in by_reading[name][: offer.order]]
+    every = (term for k in dict.fromkeys((*kept(entered), *harmonics)) for term in offered[k].terms)
     terms = ordered(system.robot, every)
-    return Waves(readings, offer.order, terms, held, away, rms, taken)
+    return AllHarmonics(readings, offer.order, terms, held, away, rms, taken)
 
 
 def _with_learned_widths(model: ErrorModel) -> ErrorModel:

@@ -99,13 +99,13 @@ def choice_sheet(choice: Choice) -> Sheet:
         figures = f"{step.held_out.rms / start:.4f}", f"{step.held_out.standard_error / start:.4f}"
         said = "yes" if choice.steps_taken[k] else "no: all harmonics" if k <= choice.taken else "no: the least"
         rows.append((str(k), name, *figures, f"{step.rms[quantity] * factor:.4f}", said))
-    if choice.waves is not None:
-        waves = choice.waves
-        figures = f"{waves.held_out.rms / start:.4f}", f"{waves.held_out.standard_error / start:.4f}"
-        said = "yes" if waves.taken else "no"
-        name = f"all harmonics up to {waves.order}"
-        some += f"; all harmonics: of {', '.join(waves.readings)}, with learned widths"
-        rows.append(("or", name, *figures, f"{waves.rms * factor:.4f}", said))
+    if choice.all_harmonics is not None:
+        harmonics = choice.all_harmonics
+        figures = f"{harmonics.held_out.rms / start:.4f}", f"{harmonics.held_out.standard_error / start:.4f}"
+        said = "yes" if harmonics.taken else "no"
+        name = f"all harmonics up to {harmonics.order}"
+        some += f"; all harmonics: of {', '.join(harmonics.readings)}, with learned widths"
+        rows.append(("or", name, *figures, f"{harmonics.rms * factor:.4f}", said))
     return Sheet.of(
         "Joint terms by what held-out data say",
         (">step", "enters", ">held out", ">std. error", f">rms [{unit}]", "taken"),

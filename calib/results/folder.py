@@ -253,7 +253,9 @@ def result(found: Calibration) -> dict[str, Any]:
             for level in found.levels
         ],
         "choice": None if found.choice is None else found.choice.records(),
-        "all_harmonics": None if found.choice is None or found.choice.waves is None else found.choice.waves.record(),
+        "all_harmonics": None
+        if found.choice is None or found.choice.all_harmonics is None
+        else found.choice.all_harmonics.record(),
         "wind_up": None if found.choice is None or found.choice.weighed is None else found.choice.weighed.record(),
         "cameras": {
             one.camera: {

@@ -26,7 +26,7 @@ from calib.identification.identify import residuals_of
 from calib.machine.gaussian import gaussian_from_residuals
 from calib.presentation.sheets import prior_sentences
 from scripts.examples.ur10_leica_job import NotTheDatasetError, read, table_columns
-from scripts.studies.waves import by_steps
+from scripts.studies.all_harmonics import by_steps
 
 Array = NDArray[np.float64]
 

@@ -23,6 +23,7 @@ from rich.table import Table
 import calib
 from calib.assessment.choice import Choice, choose_terms
 from calib.identification.identify import residuals_of
+from calib.presentation.sheets import choice_sheet
 from scripts.examples.ur10_leica_job import JOINTS, NotTheDatasetError, read, table_columns
 
 Array = NDArray[np.float64]
@@ -105,24 +106,11 @@ def chosen_in_vain(robot: calib.Robot, data: calib.Measurements, machines: int, 
 
 def evidence(choice: Choice) -> list[str]:
     """Rows of a table: what entered at every step, and what it brought at rows held out."""
-    least = min(range(len(choice.steps)), key=lambda k: choice.steps[k].held_out.rms)
-    start = choice.steps[0].held_out.rms
-    lines = [
+    return [
         "| step | enters | held out, of geometry alone | standard error | rms [mm] | taken |",
         "|--:|---|--:|--:|--:|---|",
+        *(f"| {' | '.join(row.cells)} |" for row in choice_sheet(choice).rows),
     ]
-    for k in dict.fromkeys((*range(choice.taken + 1), least)):
-        step = choice.steps[k]
-        name = "geometry alone" if step.added is None else step.added.name
-        taken = "yes" if choice.steps_taken[k] else "no: all harmonics" if k <= choice.taken else "no: the least"
-        figures = step.held_out.rms / start, step.held_out.standard_error / start, 1e3 * step.rms["position"]
-        lines.append(f"| {k} | {name} | {' | '.join(f'{value:.3f}' for value in figures)} | {taken} |")
-    if choice.waves is not None:
-        waves = choice.waves
-        figures = waves.held_out.rms / start, waves.held_out.standard_error / start, 1e3 * waves.rms
-        shown = " | ".join(f"{value:.3f}" for value in figures)
-        lines.append(f"| or | all harmonics up to {waves.order} | {shown} | {'yes' if waves.taken else 'no'} |")
-    return lines
 
 
 def main() -> int:

@@ -7,10 +7,10 @@ import pytest
 
 import calib
 from calib.assessment import choice as choice_module
+from calib.assessment.all_harmonics import Known, Offer, better
 from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.entering import Products
 from calib.assessment.validation import cross_validate, surely_less
-from calib.assessment.waves import Known, Offer, better
 from calib.identification.error_model import with_terms
 from calib.presentation.sheets import choice_sheet
 from tests.support import machines
@@ -48,13 +48,13 @@ def test_where_gears_err_in_all_orders_they_are_taken_and_predict_better(
     many: tuple[calib.ErrorModel, calib.Measurements, machines.Machine, Choice],
 ) -> None:
     model, data, true, choice = many
-    assert choice.waves is not None
-    assert choice.waves.taken
-    assert choice.terms == choice.fit.robot.terms == choice.waves.terms
+    assert choice.all_harmonics is not None
+    assert choice.all_harmonics.taken
+    assert choice.terms == choice.fit.robot.terms == choice.all_harmonics.terms
     assert len(choice.terms) <= len(data) // 2
     assert choice.model.priors.harmonics == "learned"
-    assert {term.order for term in choice.terms if term.reading == choice.waves.readings[0]} >= set(
-        range(1, choice.waves.order + 1)
+    assert {term.order for term in choice.terms if term.reading == choice.all_harmonics.readings[0]} >= set(
+        range(1, choice.all_harmonics.order + 1)
     )
     chosen = [term for step in choice.steps[1 : choice.taken + 1] if step.added for term in step.added.terms]
     alone = calib.identify(with_terms(model, chosen), data)
@@ -62,7 +62,7 @@ def test_where_gears_err_in_all_orders_they_are_taken_and_predict_better(
     assert machines.miss(choice.fit, true, unseen) < 0.95 * machines.miss(alone, true, unseen)
     sheet = choice_sheet(choice)
     assert sheet.rows[-1].cells[-1] == "yes"
-    assert sheet.rows[-1].cells[1] == f"all harmonics up to {choice.waves.order}"
+    assert sheet.rows[-1].cells[1] == f"all harmonics up to {choice.all_harmonics.order}"
 
 
 def test_their_linear_figures_are_those_of_fits(
@@ -70,9 +70,9 @@ def test_their_linear_figures_are_those_of_fits(
 ) -> None:
     """The linear folds choose for themselves, the fits take what all rows have chosen."""
     _, data, _, choice = many
-    assert choice.waves is not None
+    assert choice.all_harmonics is not None
     full = cross_validate(choice.model, data)
-    assert choice.waves.rms == pytest.approx(full.figure().rms, rel=0.1)
+    assert choice.all_harmonics.rms == pytest.approx(full.figure().rms, rel=0.1)
 
 
 def test_they_are_not_offered_where_a_prior_is_stated_or_candidates_are(
@@ -80,8 +80,8 @@ def test_they_are_not_offered_where_a_prior_is_stated_or_candidates_are(
 ) -> None:
     model, data, _, _ = many
     offered = choice_module.candidates(model.robot)[:20]
-    assert choose_terms(model, data, offered=offered).waves is None
-    assert choose_terms(replace(model, priors=calib.Priors(harmonics=1e-4)), data).waves is None
+    assert choose_terms(model, data, offered=offered).all_harmonics is None
+    assert choose_terms(replace(model, priors=calib.Priors(harmonics=1e-4)), data).all_harmonics is None
 
 
 def test_where_a_fit_with_them_does_not_converge_steps_are_taken(
@@ -96,8 +96,8 @@ def test_where_a_fit_with_them_does_not_converge_steps_are_taken(
 
     monkeypatch.setattr(choice_module, "identify_near", stubborn)
     less = choose_terms(model, data, geometric=choice.geometric)
-    assert less.waves is not None
-    assert not less.waves.taken
+    assert less.all_harmonics is not None
+    assert not less.all_harmonics.taken
     assert (less.taken, less.taken_back) == (choice.taken, 0)
     assert less.terms == less.fit.robot.terms
     assert sum(less.steps_taken) == less.taken + 1
@@ -107,24 +107,24 @@ def test_where_a_fit_with_them_does_not_converge_steps_are_taken(
 def test_of_few_rows_nothing_is_offered_that_they_could_not_teach() -> None:
     model, data, _ = uneven(40, 5e-5)
     choice = choose_terms(model, data)
-    assert choice.waves is None or not choice.waves.taken
+    assert choice.all_harmonics is None or not choice.all_harmonics.taken
     assert len(choice.terms) <= 20
 
 
 def linear(rng: np.random.Generator) -> tuple[Known, Products, Array, Array, Array]:
-    """Rows of three columns of geometry, and of two readings with waves of four orders, one of which shows nothing."""
+    """Rows of three columns of geometry, and of two readings with harmonics of four orders; one shows nothing."""
     rows, fold = rng.normal(size=(120, 2, 20)), rng.integers(0, 5, 120)
     rows[:, :, 11:19] *= 1e-3
     rows[:, :, 19] = rows[:, :, 3:11] @ rng.normal(size=8) + rng.normal(size=(120, 2))
     products = np.diag(np.append(np.full(19, 1e-4), 0.0))
-    waves = np.arange(3, 19).reshape(2, 4, 2)
+    harmonics = np.arange(3, 19).reshape(2, 4, 2)
     known = Known(products, np.where(np.arange(19) < 3, 0.0, 1e-4), np.arange(3), 0.1, fixed=False)
-    return known, Products([(fold, rows)], 5, 0, 20, waves.reshape(-1, 2)), rows, fold, waves
+    return known, Products([(fold, rows)], 5, 0, 20, harmonics.reshape(-1, 2)), rows, fold, harmonics
 
 
 def test_without_a_fold_they_are_what_its_rows_left_out_would_find() -> None:
-    known, products, rows, fold, waves = linear(np.random.default_rng(1))
-    offer = Offer.of(known, waves, products, np.zeros(0, dtype=np.intp), 8)
+    known, products, rows, fold, harmonics = linear(np.random.default_rng(1))
+    offer = Offer.of(known, harmonics, products, np.zeros(0, dtype=np.intp), 8)
     assert offer is not None
     assert offer.kept.tolist() == [0]
     assert offer.order == 4
@@ -132,8 +132,8 @@ def test_without_a_fold_they_are_what_its_rows_left_out_would_find() -> None:
     found = offer.values(products, none)
     for k in range(5):
         left = rows[fold != k]
-        alone = Products([(np.zeros(len(left), dtype=np.intp), left)], 1, 0, 20, waves.reshape(-1, 2))
-        own = Offer.of(known, waves, alone, none[0], 8)
+        alone = Products([(np.zeros(len(left), dtype=np.intp), left)], 1, 0, 20, harmonics.reshape(-1, 2))
+        own = Offer.of(known, harmonics, alone, none[0], 8)
         assert own is not None
         J, r = left.reshape(-1, 20)[:, :11], left.reshape(-1, 20)[:, 19]
         hold = np.append(np.full(3, 1e-4), np.full(8, own.start.widths[0] ** -2.0))
@@ -144,13 +144,13 @@ def test_without_a_fold_they_are_what_its_rows_left_out_would_find() -> None:
 
 
 def test_no_more_are_offered_than_are_allowed_beside_what_is_chosen() -> None:
-    known, products, _, _, waves = linear(np.random.default_rng(2))
+    known, products, _, _, harmonics = linear(np.random.default_rng(2))
     chosen = np.array([9, 10])
-    offer = Offer.of(known, waves, products, chosen, 6)
+    offer = Offer.of(known, harmonics, products, chosen, 6)
     assert offer is not None
     assert offer.order == 2
     assert offer.columns(chosen).tolist() == [3, 4, 5, 6, 9, 10]
-    assert Offer.of(known, waves, products, chosen, 1) is None
+    assert Offer.of(known, harmonics, products, chosen, 1) is None
 
 
 def test_they_must_be_better_by_two_standard_errors_and_harm_no_quantile() -> None:

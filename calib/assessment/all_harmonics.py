@@ -1,4 +1,4 @@
-"""All waves of the readings, held by priors of learned widths: the alternative to a choice among them.
+"""All harmonics of the readings, held by priors of learned widths: the alternative to a choice among them.
 
 Gears and encoders err in many orders at once, each by a little. A choice takes those that stand out and leaves the
 others; priors whose widths the data teach take all of them, each as far as the data speak of it. On some arms this
@@ -23,8 +23,8 @@ from calib.robot.terms import JointTerm
 
 
 @dataclass(frozen=True, slots=True)
-class Waves:
-    """All waves of some ``readings`` up to an ``order``, with learned widths, and what rows held out say of them.
+class AllHarmonics:
+    """All harmonics of some ``readings`` up to an ``order``, with learned widths, and what rows held out say of them.
 
     ``terms``: they and what else was chosen, but gains of these readings. ``held_out``, ``away`` and ``rms``: as of a
     step of the choice. ``taken``: whether they predict surely better than what was chosen, and a fit converges.
@@ -66,47 +66,47 @@ class Known(NamedTuple):
 
 
 class Offer(NamedTuple):
-    """What is offered: waves of the ``kept`` readings up to an ``order``.
+    """What is offered: harmonics of the ``kept`` readings up to an ``order``.
 
-    ``waves`` (readings, orders, 2): the columns of these and of all others. ``start``: widths that all rows teach, and
-    ``few`` (readings,): of which readings they keep the typical size.
+    ``harmonics`` (readings, orders, 2): the columns of these and of all others. ``start``: widths that all rows teach,
+    and ``few`` (readings,): of which readings they keep the typical size.
     """
 
     known: Known
-    waves: IntArray
+    harmonics: IntArray
     kept: IntArray
     order: int
     start: Widths
     few: BoolArray
 
     @classmethod
-    def of(cls, known: Known, waves: IntArray, products: Products, chosen: IntArray, most: int) -> "Offer | None":
+    def of(cls, known: Known, harmonics: IntArray, products: Products, chosen: IntArray, most: int) -> "Offer | None":
         """Return what is offered beside ``chosen`` columns, at most so many with these; None where that is nothing.
 
-        Waves of readings of which rows tell too little to teach a width are left out.
+        AllHarmonics of readings of which rows tell too little to teach a width are left out.
         """
-        every = np.arange(len(waves))
-        order = _order(waves, every, chosen, most)
+        every = np.arange(len(harmonics))
+        order = _order(harmonics, every, chosen, most)
         if not order:
             return None
-        columns = _columns(waves, every, order, chosen)
-        few = too_few(_Equations(known, waves, products, columns).of(columns, None), len(waves))
+        columns = _columns(harmonics, every, order, chosen)
+        few = too_few(_Equations(known, harmonics, products, columns).of(columns, None), len(harmonics))
         kept = np.flatnonzero(~few)
-        order = _order(waves, kept, chosen, most)
-        columns = _columns(waves, kept, order, chosen)
+        order = _order(harmonics, kept, chosen, most)
+        columns = _columns(harmonics, kept, order, chosen)
         if columns.size == chosen.size:
             return None
-        start = learned_widths(_Equations(known, waves, products, columns).of(columns, None), few)
-        return cls(known, waves, kept, order, start, few)
+        start = learned_widths(_Equations(known, harmonics, products, columns).of(columns, None), few)
+        return cls(known, harmonics, kept, order, start, few)
 
     def columns(self, chosen: IntArray) -> IntArray:
         """Return the columns (k,) of terms, with those that are chosen."""
-        return _columns(self.waves, self.kept, self.order, chosen)
+        return _columns(self.harmonics, self.kept, self.order, chosen)
 
     def values(self, products: Products, chosen: Sequence[IntArray]) -> Array:
         """Return what is found (folds, p) without the rows of every fold, which has ``chosen`` columns of its own."""
         own = [self.columns(columns) for columns in chosen]
-        equations = _Equations(self.known, self.waves, products, np.unique(np.concatenate(own)))
+        equations = _Equations(self.known, self.harmonics, products, np.unique(np.concatenate(own)))
         found = np.zeros((len(own), len(self.known.weak)))
         for k, columns in enumerate(own):
             rows = without_few(equations.of(columns, k), self.few)
@@ -115,27 +115,27 @@ class Offer(NamedTuple):
         return found
 
 
-def _columns(waves: IntArray, kept: IntArray, order: int, chosen: IntArray) -> IntArray:
-    return np.union1d(chosen, waves[kept, :order])
+def _columns(harmonics: IntArray, kept: IntArray, order: int, chosen: IntArray) -> IntArray:
+    return np.union1d(chosen, harmonics[kept, :order])
 
 
-def _order(waves: IntArray, kept: IntArray, chosen: IntArray, most: int) -> int:
+def _order(harmonics: IntArray, kept: IntArray, chosen: IntArray, most: int) -> int:
     """Return the highest order with which there are at most so many columns, 0 for none."""
-    orders = range(waves.shape[1] if kept.size else 0, 0, -1)
-    return next((k for k in orders if _columns(waves, kept, k, chosen).size <= most), 0)
+    orders = range(harmonics.shape[1] if kept.size else 0, 0, -1)
+    return next((k for k in orders if _columns(harmonics, kept, k, chosen).size <= most), 0)
 
 
 class _Equations:
     """Normal equations of geometry and some terms, with the products of the rows of every fold."""
 
-    def __init__(self, known: Known, waves: IntArray, products: Products, terms: IntArray) -> None:
+    def __init__(self, known: Known, harmonics: IntArray, products: Products, terms: IntArray) -> None:
         """Form the products of geometry and ``terms`` (k,), columns of which some may be asked for."""
         self._known, self._counts = known, products.counts
         self._columns = np.concatenate([known.geometry, terms, [len(known.weak)]])
         self._of_folds = products.grams(self._columns)
         self._sum = self._of_folds.sum(axis=0)
         self._reading = np.full(len(known.weak), -1)
-        self._reading[waves] = np.arange(len(waves))[:, None, None]
+        self._reading[harmonics] = np.arange(len(harmonics))[:, None, None]
 
     def of(self, terms: IntArray, without: int | None) -> NormalEquations:
         """Return the equations of geometry and ``terms`` (k,), of all rows or ``without`` those of a fold."""

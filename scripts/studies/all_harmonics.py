@@ -1,6 +1,6 @@
 """Do all harmonics with learned widths harm where nothing was measured? Machines with uneven gears, and without.
 
-    python scripts/studies/waves.py [--machines 40] [--first 0] [--kind none|few|many]
+    python scripts/studies/all_harmonics.py [--machines 40] [--first 0] [--kind none|few|many]
 
 A UR10 is simulated, each time with other errors, and measured at 60 to 600 random poses of a box of joint space,
 0.05 mm of noise. Its gears are even (none), uneven in four orders (few), or in all orders up to 40, the less the higher
@@ -82,7 +82,7 @@ def count(seeds: range, kind: str) -> None:
         data, machine, *unseen = simulated(seed, kind)
         choice = choose_terms(model, data)
         given += bool(choice.terms)
-        if choice.waves is None or not choice.waves.taken:
+        if choice.all_harmonics is None or not choice.all_harmonics.taken:
             continue
         alone = calib.identify(by_steps(choice), data)
         found = []
@@ -91,7 +91,7 @@ def count(seeds: range, kind: str) -> None:
             found.append(f"{own[-1]:.3f}")
         print(
             f"machine {seed}: {len(data)} rows, {len(alone.model.terms)} terms chosen, {len(choice.terms)} with all "
-            f"harmonics up to {choice.waves.order}: {' and '.join(found)} of the rms of those chosen",
+            f"harmonics up to {choice.all_harmonics.order}: {' and '.join(found)} of the rms of those chosen",
             flush=True,
         )
     taken = len(ratios["elsewhere"])
