@@ -1,8 +1,8 @@
 """How a job reads its tables, for commands that are given more of the same kind."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -12,6 +12,9 @@ from calib.foundations.folders import reading_folder
 from calib.measurement.kinds import Kind
 from calib.measurement.table import AS_WRITTEN, Columns
 from calib.results.folder import JOB_FILE
+
+if TYPE_CHECKING:
+    from calib.job.schema import MeasurementsSection
 
 
 class _Table(BaseModel):
@@ -29,16 +32,7 @@ class _Job(BaseModel):
     measurements: tuple[_Table, ...]
 
 
-class _Section(Protocol):
-    @property
-    def columns(self) -> Mapping[str, str]: ...
-    @property
-    def ignore(self) -> tuple[str, ...]: ...
-    @property
-    def orientation(self) -> str | None: ...
-
-
-def columns_alike(tables: Iterable[_Section]) -> Columns:
+def columns_alike(tables: "Iterable[MeasurementsSection | _Table]") -> Columns:
     """Return how a job reads its tables, where it reads all of them alike; else tables are read as they are written.
 
     What another table lacks of these columns is no error.
