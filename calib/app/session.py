@@ -76,7 +76,7 @@ class Session:
     def _gone(self) -> str:
         """A sentence where the folder is no more, or another one is in its place; else nothing."""
         with contextlib.suppress(OSError):
-            if os.path.samestat(os.fstat(self._own), os.stat(self.folder)):
+            if os.path.samestat(os.fstat(self._own), self.folder.stat()):
                 return ""
         return f"{self.folder}: is gone, with all files of this page; end calib app, and begin it again."
 

@@ -279,7 +279,8 @@ def test_ctrl_c_before_a_task_is_taken_leaves_one_sentence(folder: Path) -> None
     """The thread that hands tasks to workers stumbles over one that it has not taken yet when it is told to end."""
     (folder / "jobs/other.toml").write_bytes((folder / "jobs/plain.toml").read_bytes())
     slow = (
-        "from joblib.externals.loky.process_executor import _ExecutorManagerThread as T; taken = T.add_call_item_to_queue; "
+        "from joblib.externals.loky.process_executor import _ExecutorManagerThread as T; "
+        "taken = T.add_call_item_to_queue; "
         "T.add_call_item_to_queue = lambda self: taken(self) if self.executor_flags.shutdown else None"
     )
     listening = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {slow}; {MAIN}"
