@@ -28,6 +28,7 @@ from calib.identification.parameters import Parameter, scales
 from calib.identification.solver import Near, Solution, solution_at, solve
 from calib.identification.system import Problem, photograph_numbers, residuals, with_twists
 from calib.identification.together import FEWEST, Together, likeliest
+from calib.measurement.lens import FOCAL
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations
 
@@ -156,6 +157,7 @@ def _identify(
         given = _given(problem, variances)
         found = solve(problem, values_at(model.robot, problem.parameters, reference, deviations), given)
     machine = problem.machine(found.x)
+    _refuse_nowhere(sets, machine)
     after = problem.residuals_of(machine)
     spread_out = _with_common(problem, found.variances)
     sigmas = weights.sigmas_of(plain, spread_out, after)
@@ -300,6 +302,21 @@ def _refuse_losses(losses: Sequence[Loss] | None, sets: Sequence[Measurements]) 
     for loss in losses:
         if loss not in get_args(Loss):
             raise JobError(f"losses: {loss!r} is not one of {', '.join(get_args(Loss))}.")
+
+
+def _refuse_nowhere(sets: Sequence[Measurements], machine: Machine) -> None:
+    """Raise IdentificationError where a search has ended at what cannot be: a far tool, no focal length."""
+    frames, place, focal = machine.frames, "position, station, point", "fx, fy"
+    named = zip((*sets[0].tools, *sets[0].setups), (*frames.tools, *frames.bases), strict=True)
+    found = [(repr(name), place, "m", float(value)) for name, T in named for value in T[:3, 3]]
+    focal_lengths = {k for data in sets for role, k in data.uses.items() if role in FOCAL}
+    found += [(sets[0].scalars[k].name, focal, "px", float(frames.scalars[k])) for k in sorted(focal_lengths)]
+    for what, name, unit, value in found:
+        if not RANGES[name].holds(value):
+            raise IdentificationError(
+                f"the search has ended where nothing can be, with {what} at {value:.3g} {unit}, as nothing nearer "
+                "explains the measurements: are the readings theirs, and is it the right robot?"
+            )
 
 
 def _near(fit: Fit, problem: Problem, x0: Array) -> Near:

@@ -55,7 +55,9 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
     )
     if known is not None:
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, found.judged_by["after"]))
-    if choice is None and not inputs.job.levels and trace is None:
+    # What a fit leaves that explains nothing is nothing that joint terms make smaller.
+    explained = all(check.passed for check in found.checks if check.name == "explained")
+    if choice is None and not inputs.job.levels and trace is None and explained:
         found = replace(found, shown=(*found.shown, *suggestions(fit, inputs.validate)))
     found = replace(found, levels=reports, choice=choice, optics=inputs.optics).accepting(inputs.job.accept)
     return found if inputs.job.levels or trace is not None else found.blaming(blame(fit, found.sets))
