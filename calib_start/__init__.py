@@ -25,6 +25,8 @@ def main() -> None:
     gc.set_threshold(50_000)
     # At the end all memory goes back anyway; to look for what refers to itself first takes another tenth.
     atexit.register(gc.freeze)
+    # Else pydantic reads what every installed package says of itself, to find plugins of its.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     try:
         with loading():
             from calib.cli import main as run  # noqa: PLC0415 - see above
