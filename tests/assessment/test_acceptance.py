@@ -292,6 +292,14 @@ def test_verify_passes_and_fails(case: Path) -> None:
     bad = run("verify", out, table, "--sigma", "0.02 mm", "--limit", "0.01 mm")
     assert (bad.code, bad.out.splitlines()[-1]) == (3, "Failed.")
     assert run("verify", out, table, "--limit", "0.01 mm", "-q") == (3, "", "")
+    noted = case / "noted.csv"
+    lines = [line for line in table.read_text().splitlines() if not line.startswith("#")]
+    noted.write_text("\n".join([f"{lines[0]}, spindle", *(f"{line}, 1" for line in lines[1:])]))
+    asked = run("verify", out, noted, "-q")
+    assert asked.code == 1
+    assert "column 'spindle' has no unit" in asked.err
+    assert asked.err.endswith("; or pass over what is not needed: --ignore 'spindle'.\n")
+    assert run("verify", out, noted, "--ignore", "spindle", "-q").code == 0
     contents = json.loads(run("verify", out, table, "--json").out)
     assert (contents["passed"], contents["within_limit"], contents["limit"]) == (True, None, None)
     assert contents["as_calibrated"]["test"]["degrees_of_freedom"] == 90
