@@ -74,12 +74,16 @@ def plan(
         robot, model, roots, columns = given.arm(arm, tip, observes, tuple(mesh_root or ()))
         frames = Frames(given.base(tracker)[None], rigid.translation(given.point(tool, "tool"))[None])
         right = None if working is None else given.table_readings(working, robot, columns)
+        done = None if measured is None else given.table_readings(measured, robot, columns)
         noise = (given.parsed(sigma, "sigma"), given.parsed(sigma_angle, "sigma_angle", "angle"))
         measurement = PlannedMeasurement(
             frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"), right
         )
         sight = given.sight(tracker, facing, acceptance, nearest, farthest)
         notes = given.untold(model)
+        for path, readings in ((working, right), (measured, done)):
+            if path is not None and readings is not None:
+                notes += given.impossible(path, possible(robot, frames, readings))
         if collisions:
             say("reading the collision shapes")
         collision, more = given.collision(robot, roots, wanted=collisions)
@@ -89,6 +93,7 @@ def plan(
             found = random_candidates(robot, frames, given.parsed_count(candidates), sight, collision, seed=seed)
         else:
             found = possible(robot, frames, given.table_readings(Path(candidates), robot, columns), sight, collision)
+            given.refuse_few(candidates, count, found)
         say(f"choosing {count} of {len(found.readings)} poses")
         planned = plan_of(
             model,
@@ -96,7 +101,7 @@ def plan(
             candidates=found.readings,
             measurement=measurement,
             criterion=criterion,
-            measured=None if measured is None else given.table_readings(measured, robot, columns),
+            measured=done,
             target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
         )
         write_new(out, given.pose_table(robot, planned.readings))

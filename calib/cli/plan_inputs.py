@@ -130,6 +130,23 @@ def table_readings(path: Path, robot: Robot, columns: Columns) -> Array:
     return stacked(table, dimensions)
 
 
+def refuse_few(path: str, count: int, found: Candidates) -> None:
+    """Raise JobError where a table has fewer candidates than poses are asked for, with what was in the way."""
+    if count > len(found.readings):
+        left_out = f" of its {found.tried} rows: {_rejected(found)}" if found.rejected else " rows"
+        raise JobError(f"{path}: {count} poses cannot be chosen from {len(found.readings)}{left_out}.")
+
+
+def impossible(path: Path, found: Candidates) -> list[str]:
+    """Return what is to be said of rows of a table where the arm cannot have been."""
+    said = f"{path}: of {found.tried} rows {_rejected(found)}: are its columns and units right?"
+    return [said] if found.rejected else []
+
+
+def _rejected(found: Candidates) -> str:
+    return ", ".join(f"{n} {reason}" for reason, n in found.rejected.items())
+
+
 def point(text: str, what: str) -> Array:
     """Return a point (3,) in m of a text like ``50 0 50 mm``."""
     *numbers, unit = text.split() or [""]
@@ -164,7 +181,7 @@ def tell_plan(
     more: bool,
 ) -> None:
     """Tell what was chosen, and from what. ``names``: of candidates, and of what is in ``out``."""
-    rejected = ", ".join(f"{n} {reason}" for reason, n in found.rejected.items() if n)
+    rejected = _rejected(found)
     telling.tell(
         lambda: {**planned.contents(), "rejected": dict(found.rejected), "notes": list(notes)},
         lambda: [
