@@ -1,6 +1,5 @@
 """``calib plan``: which poses to measure."""
 
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -10,8 +9,6 @@ from calib.cli.application import IN_WORDS, PREPARE, Telling, command
 from calib.cli.options import MeshRoots, argument, option, written
 from calib.foundations.choices import Criterion, Planned
 from calib_start import loading
-
-_NUMBER = re.compile(r"[+-]?[0-9]+", re.ASCII)
 
 
 @command("plan", PREPARE, "calib plan arm.urdf -n 40 -o poses.csv")
@@ -89,10 +86,10 @@ def plan(
         collision, more = given.collision(robot, roots, wanted=collisions)
         notes += more
         say("sampling candidates")
-        if _NUMBER.fullmatch(candidates):
+        if given.is_count(candidates):
             found = random_candidates(robot, frames, given.parsed_count(candidates), sight, collision, seed=seed)
         else:
-            found = possible(robot, frames, given.table_readings(Path(candidates), robot, columns), sight, collision)
+            found = possible(robot, frames, given.different_readings(Path(candidates), robot, columns), sight, collision)
             given.refuse_few(candidates, count, found)
         say(f"choosing {count} of {len(found.readings)} poses")
         planned = plan_of(
