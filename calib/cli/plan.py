@@ -89,7 +89,9 @@ def plan(
         if given.is_count(candidates):
             found = random_candidates(robot, frames, given.parsed_count(candidates), sight, collision, seed=seed)
         else:
-            found = possible(robot, frames, given.different_readings(Path(candidates), robot, columns), sight, collision)
+            found = possible(
+                robot, frames, given.different_readings(Path(candidates), robot, columns), sight, collision
+            )
             given.refuse_few(candidates, count, found)
         say(f"choosing {count} of {len(found.readings)} poses")
         planned = plan_of(

@@ -128,7 +128,8 @@ def no_joints(seen: Seen) -> Exception:
     for column in seen.raw.columns:
         wrong = [word for word in column.words if word and not is_number(word, ",")]
         if column.numbers is None and column.name in joints and wrong:
-            cell = next((word for word in wrong if not is_number(word, ";")), wrong[0])  # with a decimal comma or not
+            # Surely no number are those that are none with a decimal comma either.
+            cell = next((word for word in wrong if not is_number(word, ";")), wrong[0])
             return MeasurementError(
                 f"{seen.raw.where}: column {column.title!r} is of a joint, and {shown(cell)} in it is not a number like "
                 "12.5 or 1.25e1."

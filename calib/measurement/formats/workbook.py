@@ -16,7 +16,10 @@ _MOST_ROWS, _MOST_COLUMNS, _MOST_VALUES = 200_000, 1000, 5_000_000
 
 
 def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """Return titles and cells of the first sheet that is not hidden; a first row of numbers is no header. Formulas are as shown."""
+    """Return titles and cells of the first sheet that is not hidden; a first row of numbers is no header.
+
+    Formulas are as shown.
+    """
     try:
         import openpyxl  # noqa: PLC0415 - an extra
     except ImportError as e:
