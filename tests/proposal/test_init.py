@@ -81,7 +81,7 @@ def test_cells_that_are_no_numbers_and_columns_without_a_name_are_told(folder: P
     (folder / "a.csv").write_text("\n".join([",".join(titles), row, row]), encoding="utf-8")
     assert run("init", UR10, "a.csv", "-y") == (
         *(1, ""),
-        "Error: a.csv: column 'shoulder_pan_joint [rad]' is of a joint, and '\u22120.5' in it is not a number like "
+        "Error: a.csv: column 'shoulder_pan_joint [rad]' is of a joint, and '\u22120.5' in it is no number, like "
         "12.5 or 1.25e1.\n",
     )
     put(folder, "no units")

@@ -131,7 +131,7 @@ def no_joints(seen: Seen) -> Exception:
             # Surely no number are those that are none with a decimal comma either.
             cell = next((word for word in wrong if not is_number(word, ";")), wrong[0])
             return MeasurementError(
-                f"{seen.raw.where}: column {column.title!r} is of a joint, and {shown(cell)} in it is not a number like "
+                f"{seen.raw.where}: column {column.title!r} is of a joint, and {shown(cell)} in it is no number, like "
                 "12.5 or 1.25e1."
             )
     there = listed([column.title for column in seen.raw.columns])
