@@ -1,5 +1,6 @@
 """The first steps of the command ``calib``, before the package is loaded: streams, and how Ctrl-C ends what loads."""
 
+import atexit
 import contextlib
 import gc
 import os
@@ -22,6 +23,10 @@ def main() -> None:
         sys.exit(1)
     # Almost nothing that is loaded refers to itself; to look for that every 700 objects takes a tenth of a start.
     gc.set_threshold(50_000)
+    # At the end all memory goes back anyway; to look for what refers to itself first takes another tenth.
+    atexit.register(gc.freeze)
+    # Else pydantic reads what every installed package says of itself, to find plugins of its.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
     try:
         with loading():
             from calib.cli import main as run  # noqa: PLC0415 - see above
@@ -37,8 +42,22 @@ def main() -> None:
 def loading() -> Iterator[None]:
     """Let Ctrl-C end the process at once while the block loads libraries, which takes a while.
 
-    Where it is ignored, as by a shell for what it runs in the background, or handled by others, it stays so.
+    Where it is ignored, as by a shell for what it runs in the background, or handled by others, it stays so. What is
+    loaded stays: nobody looks meanwhile, nor later, whether it could be freed.
     """
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        with _ended_at_once():
+            yield
+    finally:
+        gc.freeze()
+        if collects:
+            gc.enable()
+
+
+@contextlib.contextmanager
+def _ended_at_once() -> Iterator[None]:
     in_main_thread = threading.current_thread() is threading.main_thread()
     if not (in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
         yield

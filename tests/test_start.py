@@ -56,6 +56,18 @@ def test_where_interrupts_are_ignored_they_stay_so(tmp_path: Path) -> None:
         assert "no findings" in out
 
 
+@pytest.mark.parametrize("collects", [True, False])
+def test_what_is_loaded_is_never_looked_through(collects: bool) -> None:
+    code = (
+        "import gc; from calib_start import loading\n"
+        f"gc.{'enable' if collects else 'disable'}()\n"
+        "with loading():\n    meanwhile = gc.isenabled()\n    import calib.job.read\n"
+        "found = {id(vars(module)) for module in gc.get_objects() if isinstance(module, type(gc))}\n"
+        "print(meanwhile, gc.isenabled(), gc.get_freeze_count() > 10_000, id(vars(calib.job.read)) in found)"
+    )
+    assert start(code) == (0, f"False {collects} True False\n", "")
+
+
 def test_windows_is_sent_to_wsl() -> None:
     said = (
         "calib runs on Linux and macOS. On Windows, install and run it in WSL, the Windows Subsystem for Linux "

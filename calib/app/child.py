@@ -19,7 +19,7 @@ with loading():
     from calib.foundations.errors import CalibError, JobError, OutputError
     from calib.foundations.files import read_bytes, sentences, write_atomically
     from calib.foundations.words import shown
-    from calib.job.calibrate import STEPS_OF_LOADING, calibrate
+    from calib.job.calibrate import STEPS_OF_LOADING, calibrated
     from calib.job.inputs import load
     from calib.job.looking import NO_FINDINGS, looked_at
     from calib.job.photographs import import_photographs
@@ -29,7 +29,6 @@ with loading():
     from calib.measurement.formats.sheet import read_sheet, stacked
     from calib.measurement.raw import raw_table, split_title
     from calib.presentation.console import Steps
-    from calib.results.report import report_of
     from calib.robot.sources import EXAMPLE, mesh_uris
 
 # Tables of text, which are read as they are; others become one first.
@@ -91,7 +90,8 @@ def check(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:  # noqa: ARG0
 def run(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:  # noqa: ARG001 - as the others
     """Calibrate, and return the verdict of the report."""
     _refuse_outside()
-    verdict = report_of(calibrate(JOB, RESULTS, say, say.expect)).verdict
+    _, report = calibrated(Path(JOB), Path(RESULTS), say, say.expect)
+    verdict = report.verdict
     tiles = [{"label": tile.label, "value": tile.value} for tile in verdict.tiles]
     return {"trusted": verdict.trusted, "headline": verdict.headline, "reasons": list(verdict.reasons), "tiles": tiles}
 

@@ -96,10 +96,11 @@ def _directions(D: Array) -> Array:
 
 
 class _ToldApart(NamedTuple):
-    """Rows with ``values`` (n,), the ``change`` (q,) for a value of 1 and the sum of squares that is ``left``."""
+    """Rows with ``values`` (n,), the ``change`` (q,) for a value of 1, the ``rest`` (q,) and its square ``left``."""
 
     values: Array
     change: Array
+    rest: Array
     left: float
 
 
@@ -120,7 +121,7 @@ class _Search:
             weights = np.sum(change**2, axis=1)
             weights = np.maximum(weights, _SEEN * max(float(weights.max()), np.finfo(float).tiny))
             # What is left but for the change, of which every row takes as much as leaves least.
-            without = self._left(found).reshape(self.n, -1) - found.values[:, None] * change
+            without = found.rest.reshape(self.n, -1) - found.values[:, None] * change
             better = _parted(-np.sum(without * change, axis=1) / weights, weights, machines)
             turned = self._changed(better)
             if not turned.left < _ENOUGH * found.left:
@@ -130,16 +131,14 @@ class _Search:
 
     def _changed(self, values: Array) -> _ToldApart:
         """Return the best change for values (n,)."""
-        weighed = self.D * np.repeat(values, len(self.r) // self.n)[:, None]
+        by_number = np.repeat(values, len(self.r) // self.n)
+        weighed = self.D * by_number[:, None]
         S = weighed.T @ self.Q
         sizes = score_test(weighed.T @ weighed, S, weighed.T @ self.r, np.eye(self.Q.shape[1])).sizes
-        told = _ToldApart(values, self.D @ sizes, 0.0)
-        return told._replace(left=float(np.sum(self._left(told) ** 2)))
-
-    def _left(self, told: _ToldApart) -> Array:
-        """Return what is left (q,) of the residuals."""
-        moved = np.repeat(told.values, len(self.r) // self.n) * told.change
-        return np.asarray(self.r + moved - self.Q @ (self.Q.T @ moved))
+        change = self.D @ sizes
+        moved = by_number * change
+        rest = self.r + moved - self.Q @ (self.Q.T @ moved)
+        return _ToldApart(values, change, rest, float(np.sum(rest**2)))
 
 
 def _parted(x: Array, weights: Array, parts: int) -> Array:

@@ -20,14 +20,12 @@ def calibrate(job: JobFile, out: OutFolder, telling: Telling = IN_WORDS) -> None
     1 bad input and nothing written, 2 wrong usage, 3 written, but not to be trusted.
     """
     with loading():
-        from calib.job.calibrate import STEPS_OF_LOADING
-        from calib.job.calibrate import calibrate as calibrate_job
+        from calib.job.calibrate import STEPS_OF_LOADING, calibrated
         from calib.presentation.console import short_report
         from calib.results.folder import result
-        from calib.results.report import report_of
     with telling.progress(STEPS_OF_LOADING) as say:
-        outcome = calibrate_job(job, out, say, say.expect)
+        outcome, report = calibrated(job, out, say, say.expect)
     where = f"Results are in {out}: report.html, scene.html, calibrated.urdf, result.json."
-    telling.tell(lambda: result(outcome), lambda: [*short_report(report_of(outcome)), where])
+    telling.tell(lambda: result(outcome), lambda: [*short_report(report), where])
     if outcome.doubts:
         raise typer.Exit(NOT_TRUSTED)

@@ -8,6 +8,7 @@ from calib.foundations.linear import one_thread
 from calib.job.inputs import Inputs, load
 from calib.job.read import Progress
 from calib.job.run import run
+from calib.presentation.report.document import Report
 from calib.results.calibration import Calibration
 from calib.results.folder import STEPS_OF_WRITING, refuse_folder, write_results
 
@@ -31,13 +32,17 @@ def calibrate(
     gives the same bytes alone, in a fleet, and on a machine of more cores. Raises CalibError with one sentence; the
     folder is then as it was.
     """
+    return calibrated(Path(job), Path(out), progress, expect)[0]
+
+
+def calibrated(job: Path, out: Path, progress: Progress, expect: Callable[[int], None]) -> tuple[Calibration, Report]:
+    """Do what :func:`calibrate` does; return the report that was written as well."""
     with one_thread():
-        inputs, folder = load(Path(job), progress), Path(out)
-        refuse_folder(folder, inputs.files)
+        inputs = load(job, progress)
+        refuse_folder(out, inputs.files)
         expect(steps_after_loading(inputs))
         found = run(inputs, progress)
-        write_results(found, folder, progress)
-    return found
+        return found, write_results(found, out, progress)
 
 
 def steps_after_loading(inputs: Inputs) -> int:

@@ -3,13 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from calib.assessment.validation import hold_out
 from calib.foundations.errors import JobError, MeasurementError, naming
 from calib.identification.optics_choice import OpticsChoice, choose_optics
-from calib.job.arm import ReadArm, read_arm
-from calib.job.propose import reading_that_fits
 from calib.job.read import Progress, read_board
 from calib.job.schema import FLOOR, InstrumentSection, Job, MeasurementsSection
 from calib.job.stated import carrier_of, in_si, payload_of
@@ -25,6 +23,9 @@ from calib.measurement.read import read_measurements, stream_of
 from calib.measurement.streams.stream import ONLY_CLOCK, SKEW, Clock, OneClock
 from calib.measurement.table import Columns, HeaderError
 from calib.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from calib.job.arm import ReadArm
 
 
 def prints_of(job: Job, folder: Path) -> dict[str, Print]:
@@ -102,10 +103,14 @@ def shared_out(data: Measurements, share: float, use: str) -> Measurements:
     return held_out if use == "validate" else kept
 
 
-def arms_of(job: Job, path: Path) -> dict[str, ReadArm]:
+def arms_of(job: Job, path: Path) -> dict[str, "ReadArm"]:
     """Return the instruments of a job that are arms and that some table was measured with."""
     used = {section.instrument for section in job.measurements}
     arms = {name: arm for name, arm in job.instruments.items() if arm.kind == "arm" and name in used}
+    if not arms:
+        return {}
+    from calib.job.arm import read_arm  # noqa: PLC0415 - slow to load, and few jobs measure with an arm
+
     with naming(path, JobError):
         return {name: read_arm(name, section, path.parent) for name, section in arms.items()}
 
@@ -115,7 +120,7 @@ def measurements_of(
     job: Job,
     robot: Robot,
     folder: Path,
-    arms: Mapping[str, ReadArm],
+    arms: Mapping[str, "ReadArm"],
     prints: Mapping[str, Print],
     lenses: Mapping[str, tuple[Lens, tuple[int, int] | None]],
     doubts: list[Finding],
@@ -146,6 +151,8 @@ def measurements_of(
             joints = folder / section.readings
             data = stream_of(folder / section.file, joints, seen_from, section.observes, clock=clock, **how)
     except HeaderError as e:
+        from calib.job.propose import reading_that_fits  # noqa: PLC0415 - slow to load, and needed for this hint alone
+
         ready = reading_that_fits(folder / section.file, seen_from, section.observes)
         raise MeasurementError(f"{str(e).removesuffix('.')}; write in the job: {ready}." if ready else str(e)) from e
     if section.board is not None and data.camera is not None:

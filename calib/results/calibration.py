@@ -3,6 +3,7 @@
 import platform
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -283,6 +284,7 @@ def versions() -> dict[str, str | None]:
     }
 
 
+@cache
 def _version(distribution: str) -> str | None:
     try:
         return version(distribution)

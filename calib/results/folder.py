@@ -5,7 +5,7 @@ from codecs import BOM_UTF8
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
@@ -40,15 +40,18 @@ from calib.measurement.kinds import Kind, size
 from calib.presentation.hand_eye import camera_info, static_transform, urdf_joint
 from calib.presentation.inline import Page
 from calib.presentation.machine_scene import machine_scene
+from calib.presentation.report.document import Report
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.scene import render_scene
 from calib.results.calibration import Calibration, InUrdf, assess, versions
 from calib.results.report import report_of
-from calib.results.result_file import ResultFile
 from calib.results.scene import scene_of
 from calib.robot import dh
 from calib.robot.sources import usual_mesh_roots
+
+if TYPE_CHECKING:
+    from calib.results.result_file import ResultFile
 
 RESULT_FILE = "result.json"
 JOB_FILE = "job.json"
@@ -105,8 +108,8 @@ def _refuse_foreign(folder: Path) -> None:
         raise OutputError(f"{folder}: is not empty and holds no whole results of this tool; choose another folder.")
 
 
-def write_results(found: Calibration, out: Path, progress: Callable[[str], None] = lambda _: None) -> None:
-    """Write the folder of results; on any error it stays as it was."""
+def write_results(found: Calibration, out: Path, progress: Callable[[str], None] = lambda _: None) -> Report:
+    """Write the folder of results, and return its report; on any error the folder stays as it was."""
     out = refuse_folder(out, found.origin.files)  # a link stays a link: what it points to is replaced
     progress("writing the calibrated URDF")
     machine = machine_files(found.machine)
@@ -127,6 +130,7 @@ def write_results(found: Calibration, out: Path, progress: Callable[[str], None]
         files[JOB_FILE] = found.origin.settings
     progress("writing the results")
     write_folder(out, files, (*_RESULTS, *_LEFT_BEHIND))
+    return report
 
 
 @checked
@@ -167,8 +171,10 @@ def judged(found: Calibration | Fit) -> Calibration:
     return assess(found) if isinstance(found, Fit) else found
 
 
-def read_result(folder: Path) -> ResultFile:
+def read_result(folder: Path) -> "ResultFile":
     """Return what ``result.json`` of a folder of results says. Raises OutputError when it holds no readable one."""
+    from calib.results.result_file import ResultFile  # noqa: PLC0415 - slow to load, and nobody who writes needs it
+
     path = folder / RESULT_FILE
     with reading_folder(folder):
         source = read_bytes(path, OutputError, LARGEST_JSON)

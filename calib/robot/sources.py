@@ -85,7 +85,7 @@ def find_mesh(uri: str, roots: Sequence[Path]) -> Path | None:
         for name in names[:1] if other else names:
             try:
                 path = (root / name).resolve()
-                if path.is_relative_to(root.resolve()) and path.is_file():
+                if path.is_file() and path.is_relative_to(root.resolve()):
                     return path
             except (OSError, RuntimeError, ValueError):
                 # A loop of links, a name too long, a zero byte: no file of that name.

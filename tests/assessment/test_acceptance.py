@@ -352,6 +352,17 @@ def test_tables_are_verified_as_the_calibration_read_its_own(case: Path, tmp_pat
     assert run("verify", out, table, "--json") == wanted
 
 
+@pytest.mark.parametrize(
+    ("wrong", "why"), [(("[deg]", "[rad]"), "seem to be degrees"), (("[mm]", "[m]"), "seem to be millimetres")]
+)
+def test_wrong_units_are_no_arm_that_has_changed(case: Path, tmp_path: Path, wrong: tuple[str, str], why: str) -> None:
+    table = tmp_path / "new.csv"
+    table.write_text((case / "validation.csv").read_text().replace(*wrong))
+    said = run("verify", case / "out", table)
+    assert (said.code, said.out) == (1, "")
+    assert why in said.err
+
+
 def shifted(folder: Path, by: float) -> Path:
     path = folder / f"shifted_{by}.csv"
     lines = (folder / "validation.csv").read_text(encoding="utf-8").splitlines()
