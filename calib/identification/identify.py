@@ -127,7 +127,7 @@ def _identify(
     before = replace(whole, parameters=tuple(p for p in whole.parameters if not p.of_robot))
     x0 = values_at(model.robot, before.parameters, whole.reference)
     fitted = not before.parameters or (is_fit(sets) and not before.robust) or near is not None
-    nominal = before.machine(x0 if fitted else _with_anchors(before, solve(before, x0, variances), variances).x)
+    nominal = before.machine(x0 if fitted else _placed(before, x0, variances))
 
     reference, deviations = _beginning(begin, sets[0], nominal.frames)
     problem = replace(whole, parameters=parameters, reference=reference, held=deviations)
@@ -257,6 +257,16 @@ def _of_set(problem: Problem, data: Measurements, at: Machine, units: Array, kno
     if told is None:
         return None
     return Together.of(*told, number, rows.by_twist, np.sqrt(data.sigma**2 + told[2]))
+
+
+def _placed(before: Problem, x0: Array, variances: Sequence[float | None] | None) -> Array:
+    """Return values (p,) of frames and lenses for the nominal robot; x0 where a search has only gone away from it."""
+    found = _with_anchors(before, solve(before, x0, variances), variances)
+    if found.converged:
+        return found.x
+    ends, starts = (before.residuals_of(before.machine(x)) for x in (found.x, x0))
+    farther = all(np.sum(end**2) > np.sum(start**2) for end, start in zip(ends, starts, strict=True))
+    return x0 if farther else found.x
 
 
 def _with_anchors(problem: Problem, found: Solution, variances: Sequence[float | None] | None) -> Solution:
