@@ -201,6 +201,7 @@ class _Results(_Ours):
 class _Folder(_Ours):
     async def get(self) -> None:
         try:
+            self.session.refuse_gone()
             archive = await asyncio.to_thread(as_zip, self.session.folder)
         except OutputError as e:
             self.refuse(500, str(e))

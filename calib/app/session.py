@@ -3,9 +3,11 @@
 import asyncio
 import contextlib
 import json
+import os
 import re
 import sys
 import time
+import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -35,6 +37,9 @@ class Session:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        # Held open, so that no other folder gets its number.
+        self._own = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        weakref.finalize(self, os.close, self._own)
         self._files: dict[str, int] = {}
         # What they are called where they come from: two names may become one when they are made plain.
         self._called: dict[str, str] = {}
@@ -49,8 +54,12 @@ class Session:
             self._go_on()
 
     def state(self) -> dict[str, Any]:
-        """Return all that the page shows, as plain data."""
+        """Return all that the page shows, as plain data; of a folder that is gone nothing but that."""
         busy = None
+        if self._gone:
+            self._files, self._called, self._asked["robot"] = {}, {}, ""
+            self._changed()
+            self._sentence = self._gone
         if self._busy is not None:
             busy = {**self._busy, "seconds": round(time.monotonic() - self._begun)}
         return {
@@ -62,6 +71,19 @@ class Session:
             "left_out": self._left_out,
             "busy": busy,
         }
+
+    @property
+    def _gone(self) -> str:
+        """A sentence where the folder is no more, or another one is in its place; else nothing."""
+        with contextlib.suppress(OSError):
+            if os.path.samestat(os.fstat(self._own), self.folder.stat()):
+                return ""
+        return f"{self.folder}: is gone, with all files of this page; end calib app, and begin it again."
+
+    def refuse_gone(self) -> None:
+        """Raise OutputError where the folder is no more."""
+        if self._gone:
+            raise OutputError(self._gone)
 
     def offer(self, paths: Sequence[str]) -> dict[str, str]:
         """Return which of the files that a person is about to drop are to be sent, and by which names."""
@@ -153,6 +175,8 @@ class Session:
             self._work = self._busy = None  # also where it had not begun yet
 
     def _refuse_while_calibrating(self) -> None:
+        """Refuse what would change files under a calibration, or in a folder that is gone."""
+        self.refuse_gone()
         if self._busy is not None and self._busy["verb"] == "calibrate":
             raise JobError("A calibration is under way; wait for its end, or cancel it.")
 
@@ -221,9 +245,12 @@ class Session:
     async def _run(self, verb: str, asked: Mapping[str, Any]) -> None:
         pipe = asyncio.subprocess.PIPE
         # Ctrl-C in the terminal is for the server, which ends the child in its turn.
-        child = await asyncio.create_subprocess_exec(
-            *_CHILD, stdin=pipe, stdout=pipe, stderr=pipe, cwd=self.folder, limit=_LONGEST_LINE, start_new_session=True
-        )
+        own: dict[str, Any] = {"cwd": self.folder, "limit": _LONGEST_LINE, "start_new_session": True}
+        try:
+            child = await asyncio.create_subprocess_exec(*_CHILD, stdin=pipe, stdout=pipe, stderr=pipe, **own)
+        except OSError as e:  # as where the folder has just been removed
+            self._busy, self._sentence = None, f"No process can be started ({e.strerror})."
+            return
         assert child.stdin is not None
         assert child.stdout is not None
         assert child.stderr is not None

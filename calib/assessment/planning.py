@@ -104,6 +104,7 @@ def plan(
     if isinstance(candidates, int):
         candidates = random_candidates(model.urdf_robot, how.frames, candidates).readings
     model.urdf_robot.own(candidates)
+    _refuse_few(count, candidates)
     working = candidates if how.working is None else how.working
     with one_thread():
         return planned(
@@ -117,6 +118,11 @@ def plan(
             target,
             progress,
         )
+
+
+def _refuse_few(count: int, candidates: Array) -> None:
+    if count > len(candidates):
+        raise JobError(f"{count} poses cannot be chosen from {len(candidates)} candidates.")
 
 
 def planned(
@@ -138,8 +144,7 @@ def planned(
         raise JobError(f"{count} poses cannot be chosen; it takes one or more.")
     if target is not None:
         refuse_beyond(target, "sigma", "target")
-    if count > len(candidates):
-        raise JobError(f"{count} poses cannot be chosen from {len(candidates)} candidates.")
+    _refuse_few(count, candidates)
     seed, prior = 0, _priors(parameters)
     judged = design.space(of_candidates, criterion, of_working, given, prior)
     by_error = judged if criterion == "I" else design.space(of_candidates, "I", of_working, given, prior)

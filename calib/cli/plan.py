@@ -1,6 +1,5 @@
 """``calib plan``: which poses to measure."""
 
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -10,8 +9,6 @@ from calib.cli.application import IN_WORDS, PREPARE, Telling, command
 from calib.cli.options import MeshRoots, argument, option, written
 from calib.foundations.choices import Criterion, Planned
 from calib_start import loading
-
-_NUMBER = re.compile(r"[+-]?[0-9]+", re.ASCII)
 
 
 @command("plan", PREPARE, "calib plan arm.urdf -n 40 -o poses.csv")
@@ -74,21 +71,28 @@ def plan(
         robot, model, roots, columns = given.arm(arm, tip, observes, tuple(mesh_root or ()))
         frames = Frames(given.base(tracker)[None], rigid.translation(given.point(tool, "tool"))[None])
         right = None if working is None else given.table_readings(working, robot, columns)
+        done = None if measured is None else given.table_readings(measured, robot, columns)
         noise = (given.parsed(sigma, "sigma"), given.parsed(sigma_angle, "sigma_angle", "angle"))
         measurement = PlannedMeasurement(
             frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"), right
         )
         sight = given.sight(tracker, facing, acceptance, nearest, farthest)
         notes = given.untold(model)
+        for path, readings in ((working, right), (measured, done)):
+            if path is not None and readings is not None:
+                notes += given.impossible(path, possible(robot, frames, readings))
         if collisions:
             say("reading the collision shapes")
         collision, more = given.collision(robot, roots, wanted=collisions)
         notes += more
         say("sampling candidates")
-        if _NUMBER.fullmatch(candidates):
+        if given.is_count(candidates):
             found = random_candidates(robot, frames, given.parsed_count(candidates), sight, collision, seed=seed)
         else:
-            found = possible(robot, frames, given.table_readings(Path(candidates), robot, columns), sight, collision)
+            found = possible(
+                robot, frames, given.different_readings(Path(candidates), robot, columns), sight, collision
+            )
+            given.refuse_few(candidates, count, found)
         say(f"choosing {count} of {len(found.readings)} poses")
         planned = plan_of(
             model,
@@ -96,7 +100,7 @@ def plan(
             candidates=found.readings,
             measurement=measurement,
             criterion=criterion,
-            measured=None if measured is None else given.table_readings(measured, robot, columns),
+            measured=done,
             target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
         )
         write_new(out, given.pose_table(robot, planned.readings))

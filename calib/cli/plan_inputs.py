@@ -1,5 +1,6 @@
 """What ``calib plan`` is told, in words and files, as the planner takes it; and what it tells."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -35,6 +36,8 @@ from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.sources import EXAMPLE, examples_folder
 from calib.robot.transmission import lacking
+
+_NUMBER = re.compile(r"[+-]?[0-9]+", re.ASCII)
 
 
 def pose_table(robot: Robot, readings: Array) -> str:
@@ -93,6 +96,11 @@ def untold(model: ErrorModel) -> list[str]:
     ]
 
 
+def is_count(text: str) -> bool:
+    """Return whether candidates are a number, and no file."""
+    return _NUMBER.fullmatch(text) is not None
+
+
 def parsed_count(text: str) -> int:
     """Return a number of candidates."""
     # A number of thousands of digits is none for Python.
@@ -130,6 +138,30 @@ def table_readings(path: Path, robot: Robot, columns: Columns) -> Array:
     return stacked(table, dimensions)
 
 
+def different_readings(path: Path, robot: Robot, columns: Columns) -> Array:
+    """Return the readings of a table, each pose once: a table of marks has a row of its pose for every mark."""
+    readings = table_readings(path, robot, columns)
+    _, first = np.unique(readings, axis=0, return_index=True)
+    return np.asarray(readings[np.sort(first)], dtype=np.float64)
+
+
+def refuse_few(path: str, count: int, found: Candidates) -> None:
+    """Raise JobError where a table has fewer candidates than poses are asked for, with what was in the way."""
+    if count > len(found.readings):
+        left_out = f" of its {found.tried} poses: {_rejected(found)}" if found.rejected else " candidates"
+        raise JobError(f"{path}: {count} poses cannot be chosen from {len(found.readings)}{left_out}.")
+
+
+def impossible(path: Path, found: Candidates) -> list[str]:
+    """Return what is to be said of rows of a table where the arm cannot have been."""
+    said = f"{path}: of {found.tried} rows {_rejected(found)}: are its columns and units right?"
+    return [said] if found.rejected else []
+
+
+def _rejected(found: Candidates) -> str:
+    return ", ".join(f"{n} {reason}" for reason, n in found.rejected.items())
+
+
 def point(text: str, what: str) -> Array:
     """Return a point (3,) in m of a text like ``50 0 50 mm``."""
     *numbers, unit = text.split() or [""]
@@ -164,7 +196,7 @@ def tell_plan(
     more: bool,
 ) -> None:
     """Tell what was chosen, and from what. ``names``: of candidates, and of what is in ``out``."""
-    rejected = ", ".join(f"{n} {reason}" for reason, n in found.rejected.items() if n)
+    rejected = _rejected(found)
     telling.tell(
         lambda: {**planned.contents(), "rejected": dict(found.rejected), "notes": list(notes)},
         lambda: [
@@ -195,6 +227,12 @@ def plan_photographs(
     """Write the readings at which to take photographs, as ``calib plan`` writes poses."""
     if not job.endswith(".toml"):
         raise JobError(f"{job}: photographs are planned beside those of a job; take a few, and calib import images.")
+    if not is_count(candidates):
+        raise JobError(
+            f"candidates: {shown(candidates)} is not a number from 1 to {MOST_POSES}; views to photograph are drawn at "
+            "random."
+        )
+    drawn = parsed_count(candidates)
     with telling.progress(steps=4) as say:
         say("reading the job")
         inputs = load(Path(job))
@@ -205,7 +243,7 @@ def plan_photographs(
         right = None if working is None else table_readings(working, fit.robot, columns)
         touching, notes = collision(fit.robot, (*inputs.mesh_roots, *mesh_roots), wanted=collisions)
         say("sampling views")
-        found = view_candidates(views, parsed_count(candidates), touching, seed=seed)
+        found = view_candidates(views, drawn, touching, seed=seed)
         say(f"choosing {count} of {len(found.readings)} views")
         planned = plan_views(
             views,

@@ -11,6 +11,9 @@ from calib.cli.proposing import ColumnNames, OrientationName, renamed
 from calib.foundations.choices import Observed
 from calib_start import loading
 
+# Of columns that may be passed over, as many are named.
+_LISTED = 4
+
 
 @command("verify", JUDGE, 'calib verify out/ new.csv --limit "0.3 mm"')
 def verify(
@@ -41,28 +44,41 @@ def verify(
     """
     with loading():
         from calib.assessment.acceptance import verify as judged
+        from calib.foundations.errors import MeasurementError
         from calib.foundations.ranges import RANGES, parse_within
         from calib.job.columns import columns_of_results
+        from calib.job.refusals import refuse_findings
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import outside_identified
+        from calib.measurement.checks import table_findings
         from calib.measurement.read import read_measurements
-        from calib.measurement.table import Columns
+        from calib.measurement.table import Columns, HeaderError
         from calib.presentation.acceptance_tables import verification_lines, verification_sheet
         from calib.presentation.console import warning
     with telling.progress(steps=2) as say:
         say("reading the model and the measurements")
         machine = load_machine(results).at(setup)
         machine = machine if tool is None else machine.of(tool)
-        data = read_measurements(
-            measurements,
-            machine.robot,
-            observes,
-            sigma=None if sigma is None else parse_within(sigma, RANGES["sigma"], "sigma"),
-            in_order=in_order,
-            columns=Columns(renamed(column), tuple(ignore or ()), orientation)
-            if column or ignore or orientation
-            else columns_of_results(results, observes),
-        ).named(tool=tool, setup=setup)
+        try:
+            data = read_measurements(
+                measurements,
+                machine.robot,
+                observes,
+                sigma=None if sigma is None else parse_within(sigma, RANGES["sigma"], "sigma"),
+                in_order=in_order,
+                columns=Columns(renamed(column), tuple(ignore or ()), orientation)
+                if column or ignore or orientation
+                else columns_of_results(results, observes),
+            ).named(tool=tool, setup=setup)
+        except HeaderError as e:
+            if not e.unitless:
+                raise
+            passed_over = " ".join(f"--ignore {name!r}" for name in e.unitless[:_LISTED])
+            raise MeasurementError(
+                f"{str(e).removesuffix('.')}; or pass over what is not needed: {passed_over}."
+            ) from e
+        # Else a wrong unit would be told as an arm that has changed.
+        refuse_findings(table_findings(data, machine.robot.readings, machine.robot.reach))
         say("judging")
         found = judged(
             machine,

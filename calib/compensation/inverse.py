@@ -242,6 +242,10 @@ def _solve_block(model: CalibratedMachine, asked: Asked, how: How, effort: Effor
         free[rows] = np.where(beyond, 0.0, free[rows])
         q[rows] = np.where(free[rows] > 0.0, start[rows], np.clip(q[rows], low, high))
     allowed = np.clip(q, low, high)
+    # A clipped reading may take the tool farther from the target than it was where the search began.
+    clipped = tried[_outside(q[tried], low, high).any(axis=1)]
+    no_nearer = machine.look(clipped, start[clipped]).cost < machine.look(clipped, allowed[clipped]).cost
+    allowed[clipped[no_nearer]] = start[clipped[no_nearer]]
     seen = machine.look(np.arange(len(q)), allowed)
     position, angle = machine.errors(seen.gap)
     near = (position <= tolerances[0]) & ~(angle > tolerances[1])

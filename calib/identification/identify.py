@@ -120,16 +120,16 @@ def _identify(
     variances = _stated(model_sigmas)
     if near is not None:
         whole = replace(whole, reference=_frames_of(near.nominal.frames, near, whole.reference, sets[0]))
+    _refuse_losses(losses, sets)
+    if losses is not None:  # of the nominal robot as well: else rows that lie off would make it look worse than it is
+        whole = replace(whole, given_losses=tuple(losses))
     before = replace(whole, parameters=tuple(p for p in whole.parameters if not p.of_robot))
     x0 = values_at(model.robot, before.parameters, whole.reference)
-    fitted = not before.parameters or is_fit(sets) or near is not None
+    fitted = not before.parameters or (is_fit(sets) and not before.robust) or near is not None
     nominal = before.machine(x0 if fitted else _with_anchors(before, solve(before, x0, variances), variances).x)
 
     reference, deviations = _beginning(begin, sets[0], nominal.frames)
     problem = replace(whole, parameters=parameters, reference=reference, held=deviations)
-    _refuse_losses(losses, sets)
-    if losses is not None:
-        problem = replace(problem, given_losses=tuple(losses))
     before_fit = problem.residuals_of(nominal)
     x0 = values_at(model.robot, parameters, reference, deviations)
     problem, found, learned = solve_learning(problem, x0, variances, None if near is None else _near(near, problem, x0))

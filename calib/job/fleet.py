@@ -217,7 +217,7 @@ def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[D
     started = {"initializer": _serve, "initargs": (os.getpid(),)}
 
     loky = joblib.parallel_config("loky", n_jobs=count, inner_max_num_threads=1, **started)
-    with loky, warnings.catch_warnings():
+    with loky, _ending_quietly(), warnings.catch_warnings():
         # Whoever interrupts knows that tasks are left undone.
         warnings.filterwarnings("ignore", r".*tasks (which were still|have been successfully)")
         try:
@@ -225,6 +225,27 @@ def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[D
                 yield finished
         finally:
             _end_workers()
+
+
+@contextmanager
+def _ending_quietly() -> Iterator[None]:
+    """Let the thread in which joblib looks after its processes end without a traceback when it is told to end.
+
+    Told before it has taken the task that was given last, it has ended all processes and given up all tasks, and then
+    still looks that one up (loky 3.5). Whatever else it may meet is shown as ever.
+    """
+    before = threading.excepthook
+
+    def met(said: threading.ExceptHookArgs) -> None:
+        told = getattr(getattr(said.thread, "executor_flags", None), "kill_workers", False)
+        if not (told and issubclass(said.exc_type, KeyError)):
+            before(said)
+
+    threading.excepthook = met
+    try:
+        yield
+    finally:
+        threading.excepthook = before
 
 
 @contextmanager

@@ -3,7 +3,8 @@
 Weak priors are wide, so that they decide nothing that data decide. As a statement of what is not known of a machine
 they are too wide: an arm whose visible lengths are off by half a millimetre has no other ones that are off by ten. So
 all translations of links, all their rotations and all joint offsets are taken to be alike, and those that show teach
-the likeliest width (:mod:`calib.identification.widths`) of those that do not. A stated prior is taken at its word.
+the likeliest width (:mod:`calib.identification.widths`) of those that do not. A stated prior is taken at its word. A
+tool point that poses do not show is held narrowly for the sake of the search alone, and may be as far as tools are.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.linear import triangle
-from calib.identification.parameters import Parameter
+from calib.identification.parameters import TOOL, Parameter
 from calib.identification.widths import NormalEquations, likeliest_widths, likelihood
 
 # Directions of a group that the data must see, given weak priors, before they may teach a width: else it stays weak.
@@ -24,12 +25,12 @@ _MOST_INFORMATION = 1e10
 
 
 def likely_widths(parameters: Sequence[Parameter], J: Array, r: Array, z: Array) -> Array:
-    """Return how wide the priors (p,) of parameters are, in their scales: as held by the fit, or as its data teach.
+    """Return how wide the priors (p,) of parameters are, in their scales: as known, or as the data teach.
 
     ``J`` (q, p) and ``r`` (q,): derivatives of what is predicted, and measured less predicted, whitened by the noise,
     at parameters ``z`` (p,), in scales from nominal.
     """
-    held = np.array([1.0 / parameter.hold for parameter in parameters])
+    held = np.array([_expected(parameter) / parameter.scale for parameter in parameters])
     group = _groups(parameters)
     while np.any(group >= 0):
         rows = _equations(J, r, z, held, group)
@@ -43,6 +44,12 @@ def likely_widths(parameters: Sequence[Parameter], J: Array, r: Array, z: Array)
         left = np.where(few, -1, np.cumsum(~few) - 1)
         group = np.append(left, -1)[group]
     return held
+
+
+def _expected(parameter: Parameter) -> float:
+    """Return the standard deviation about the prior's centre, in the parameter's unit."""
+    width = parameter.weak_prior if parameter.prior is None else parameter.prior
+    return width if parameter.freed is None else max(width, TOOL)
 
 
 def _groups(parameters: Sequence[Parameter]) -> IntArray:

@@ -57,7 +57,12 @@ def beginning(data: bytes, where: str) -> list[Line]:
 
 def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
     if data.startswith(_ARCHIVE):
-        raise MeasurementError(f"{where}: is a workbook, and no text; calib import {where} -o table.csv makes a table.")
+        to_do = (
+            f"calib import {where} -o table.csv makes a table."
+            if where.lower().endswith(".xlsx")
+            else "call it .xlsx, and calib import makes a table of it."
+        )
+        raise MeasurementError(f"{where}: is a workbook, and no text; {to_do}")
     if (nul := data.find(b"\0")) >= 0:
         raise MeasurementError(f"{where}:{_line_at(data, nul)}: has a NUL byte; a table is UTF-8 text.")
     start, number = len(b"\xef\xbb\xbf") if data.startswith(b"\xef\xbb\xbf") else 0, 1

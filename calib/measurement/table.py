@@ -95,7 +95,11 @@ class DataFrameLike(Protocol):
 
 
 class HeaderError(MeasurementError):
-    """The header of a table, not its rows, cannot be used."""
+    """The header of a table, not its rows, cannot be used; ``unitless``: columns that would need a unit."""
+
+    def __init__(self, said: str, unitless: Sequence[str] = ()) -> None:
+        super().__init__(said)
+        self.unitless = tuple(unitless)
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,7 +365,7 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
         ]
         wrong += [f"there is no column {name!r} to ignore{nearest(name, titles)}" for name in left]
     if wrong:
-        raise HeaderError(f"{at}: {'; '.join(wrong[:_LISTED])}.")
+        raise HeaderError(f"{at}: {'; '.join(wrong[:_LISTED])}.", unitless)
     return header
 
 

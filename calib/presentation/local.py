@@ -1,7 +1,9 @@
 """Pages that are served to this computer alone: one address, one port, and guards against pages of other sites."""
 
 import contextlib
+import errno
 import socket
+import time
 from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
@@ -16,6 +18,20 @@ ADDRESS = "127.0.0.1"
 _OURSELVES = r"(127\.0\.0\.1|localhost)"
 # The largest body of a request that does not say otherwise.
 _LARGEST_BODY = 1_000_000
+# How long nobody is let in, in s, where a process has as many files and connections open as it may.
+_PAUSE = 0.05
+
+
+class _Listener(socket.socket):
+    def accept(self) -> tuple[socket.socket, Any]:
+        """Return who has come; where no connection more can be opened, they wait, and nothing is said."""
+        try:
+            return super().accept()
+        except OSError as e:
+            if e.errno not in (errno.EMFILE, errno.ENFILE):
+                raise
+            time.sleep(_PAUSE)
+            raise BlockingIOError from e
 
 
 class Guarded(RequestHandler):
@@ -45,7 +61,7 @@ async def listening(routes: Sequence[Any], port: int, **settings: Any) -> AsyncI
     app.add_handlers(_OURSELVES, list(routes))
     server = HTTPServer(app, max_body_size=_LARGEST_BODY)
     with sentences(f"port {port}", OutputError, "cannot be listened on"):
-        listener = socket.create_server((ADDRESS, port))
+        listener = _Listener(fileno=socket.create_server((ADDRESS, port)).detach())
     listener.setblocking(False)
     server.add_socket(listener)
     try:

@@ -366,6 +366,35 @@ def test_work_can_be_cancelled_and_ends_with_the_server() -> None:
         server.process.communicate()
 
 
+def test_a_folder_that_was_removed_is_said_and_not_made_anew(tmp_path: Path) -> None:
+    place = tmp_path / "page"
+    server = Server("--folder", place)
+    said = f"{place}: is gone, with all files of this page; end calib app, and begin it again."
+    try:
+        drop_case(server)
+        server.look()
+        for another in (False, True):
+            shutil.rmtree(place)
+            if another:  # one that somebody else has made
+                place.mkdir()
+            state = server.ask("GET", "state")[1]
+            assert (state["files"], state["robot"], state["look"], state["sentence"]) == ([], "", None, said)
+            for method, path, body in (
+                ("PUT", "files/a.csv", b"1"),
+                ("POST", "look", {"robot": "", "answers": {}}),
+                ("POST", "check", {"job": "schema = 1"}),
+                ("GET", "calibration.zip", None),
+            ):
+                status, answer = server.ask(method, path, body)
+                assert (status // 100, answer["sentence"]) in {(4, said), (5, said)}, path
+            assert not place.exists() or (another and not list(place.iterdir()))
+            place.mkdir(exist_ok=True)
+        assert server.end() == (0, "")
+    finally:
+        server.process.kill()
+        server.process.communicate()
+
+
 def test_bad_folders_and_ports_are_said_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "there.csv").write_text("1")
     said = run("app", "--folder", tmp_path)

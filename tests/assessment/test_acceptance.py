@@ -292,6 +292,14 @@ def test_verify_passes_and_fails(case: Path) -> None:
     bad = run("verify", out, table, "--sigma", "0.02 mm", "--limit", "0.01 mm")
     assert (bad.code, bad.out.splitlines()[-1]) == (3, "Failed.")
     assert run("verify", out, table, "--limit", "0.01 mm", "-q") == (3, "", "")
+    noted = case / "noted.csv"
+    lines = [line for line in table.read_text().splitlines() if not line.startswith("#")]
+    noted.write_text("\n".join([f"{lines[0]}, spindle", *(f"{line}, 1" for line in lines[1:])]))
+    asked = run("verify", out, noted, "-q")
+    assert asked.code == 1
+    assert "column 'spindle' has no unit" in asked.err
+    assert asked.err.endswith("; or pass over what is not needed: --ignore 'spindle'.\n")
+    assert run("verify", out, noted, "--ignore", "spindle", "-q").code == 0
     contents = json.loads(run("verify", out, table, "--json").out)
     assert (contents["passed"], contents["within_limit"], contents["limit"]) == (True, None, None)
     assert contents["as_calibrated"]["test"]["degrees_of_freedom"] == 90
@@ -342,6 +350,17 @@ def test_tables_are_verified_as_the_calibration_read_its_own(case: Path, tmp_pat
     assert run("verify", out, table) == (1, "", f"Error: {out / 'job.json'}: is not a job of this tool.\n")
     (out / "job.json").unlink()
     assert run("verify", out, table, "--json") == wanted
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"), [(("[deg]", "[rad]"), "seem to be degrees"), (("[mm]", "[m]"), "seem to be millimetres")]
+)
+def test_wrong_units_are_no_arm_that_has_changed(case: Path, tmp_path: Path, wrong: tuple[str, str], why: str) -> None:
+    table = tmp_path / "new.csv"
+    table.write_text((case / "validation.csv").read_text().replace(*wrong))
+    said = run("verify", case / "out", table)
+    assert (said.code, said.out) == (1, "")
+    assert why in said.err
 
 
 def shifted(folder: Path, by: float) -> Path:

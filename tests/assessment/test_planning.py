@@ -119,6 +119,8 @@ def test_measured_poses_are_completed() -> None:
 def test_too_few_candidates() -> None:
     with pytest.raises(JobError, match="151 poses cannot be chosen from 150 candidates"):
         planned(151)
+    with pytest.raises(JobError, match="20 poses cannot be chosen from 0 candidates"):
+        plan(calib.error_model(machines.load(*NAME), offsets="all"), 20, candidates=np.zeros((0, 6)))
 
 
 # ---- the command
@@ -181,6 +183,23 @@ def test_poses_are_read_as_the_job_reads_its_tables(tmp_path: Path, monkeypatch:
     assert run(*common, "c.csv", "--measured", "b.csv").code == 0
 
 
+def test_poses_that_the_arm_cannot_have_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    copy_case(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    Path("rad.csv").write_text(Path("validation.csv").read_text().replace("[deg]", "[rad]"))
+    common = ("plan", "calibration.toml", "-n", "10", "-o", "poses.csv", "--candidates")
+    assert run(*common, "rad.csv") == (
+        *(1, ""),
+        "Error: rad.csv: 10 poses cannot be chosen from 0 of its 30 poses: 30 outside the joints' limits.\n",
+    )
+    twice = Path("validation.csv").read_text().splitlines()
+    Path("twice.csv").write_text("\n".join([*twice, *twice[-30:]]))
+    few = run(*common, "twice.csv", "-n", "31").err
+    assert few == "Error: twice.csv: 31 poses cannot be chosen from 30 candidates.\n"
+    said = run(*common, "40", "--measured", "rad.csv").out.replace("\n", " ")
+    assert "rad.csv: of 30 rows 30 outside the joints' limits: are its columns and units right?" in said
+
+
 @pytest.mark.parametrize(
     ("options", "why"),
     [
@@ -213,6 +232,10 @@ def test_candidates_that_are_no_number_of_poses(tmp_path: Path, monkeypatch: pyt
     assert run("plan", "arm.urdf", "-o", "poses.csv", "--candidates", "\u00b2")[::2] == (
         1,
         "Error: \u00b2: there is no such file.\n",
+    )
+    assert run("plan", "job.toml", "-o", "poses.csv", "--observes", "pixels", "--candidates", "marks.csv") == (
+        *(1, ""),
+        "Error: candidates: 'marks.csv' is not a number from 1 to 1000000; views to photograph are drawn at random.\n",
     )
     assert run("plan", "arm.urdf", "-o", "poses.csv", "--seed=-1").code == 2
 

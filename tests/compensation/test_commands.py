@@ -283,6 +283,22 @@ def test_a_redundant_arm_keeps_its_limits() -> None:
         assert "beyond its limits" in text
 
 
+def test_what_is_not_reached_is_never_said_to_be_farther_than_where_the_search_began() -> None:
+    robot = robot_of("ur10")
+    low, high = (np.array([getattr(r, side) for r in robot.readings]) for side in ("lower", "upper"))
+    # The arm is stretched, all readings near their limits: the search passes some of these by half a radian.
+    readings = np.stack([high - 1e-4, low + 1e-5, high - 0.05])
+    for seed in range(4):
+        model = model_of(robot, seed, size=3.0)
+        found = commands.for_joint_targets(model, readings)
+        wanted = robot.tips(readings) @ TOOLS["tool"]
+        at_start = model.robot.tips(readings, model.deviations) @ TOOLS["tool"]
+        assert not found.reached.all()
+        for n in np.flatnonzero(~found.reached):
+            began = np.hypot(*apart(at_start[n : n + 1], wanted[n : n + 1]))  # 1 mm counts as 1 mrad
+            assert np.hypot(found.position_error[n], found.orientation_error[n]) <= began + 1e-12
+
+
 def test_far_away_and_singular() -> None:
     model = model_of(robot_of("ur10"))
     readings = well_posed(model, draw(model.robot, 9))[:3]

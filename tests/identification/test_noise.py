@@ -1,10 +1,13 @@
 """The noise that the residuals show beside the instrument's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import chdtri
 
 import calib
+from calib.identification.losses import Loss
 from calib.identification.noise import RARELY, model_variance, noise_of
 from tests.support import machines
 from tests.support.machines import Machine
@@ -80,6 +83,22 @@ def test_an_instrument_that_promises_too_much_is_corrected_in_position_and_orien
             assert np.isnan(noise.chi_square)
     # The rows that the parameters have used up: 30 directions, shared by both components.
     assert sum(noise.degrees_of_freedom for noise in fit.noise) == pytest.approx(6 * 400 - 30)
+
+
+@pytest.mark.parametrize("loss", ["huber", "soft_l1", "cauchy"])
+def test_rows_that_lie_off_make_the_nominal_robot_no_worse(loss: Loss) -> None:
+    """Base and tool of the nominal robot leave out what the fit leaves out: else any fit would seem an improvement."""
+    rng = np.random.default_rng(6)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    true = Machine(arm.moved(rng), machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))})
+    data = true.measure(robot, arm.draw(rng, 60), rng=rng, sigma=0.02e-3)
+    bad = np.array(data.position)
+    bad[[5, 17, 33]] += 1.0
+    model = calib.error_model(robot, offsets="all", placements="all")
+    good = np.delete(np.arange(60), [5, 17, 33])
+    sound = calib.identify(model, data.subset(good), losses=[loss]).nominal_residuals[0]
+    found = calib.identify(model, replace(data, position=bad), losses=[loss]).nominal_residuals[0][good]
+    assert np.sqrt(np.mean(found**2)) < 1.2 * np.sqrt(np.mean(sound**2))
 
 
 @pytest.mark.parametrize("loss", ["huber", "soft_l1", "cauchy"])

@@ -275,6 +275,25 @@ def test_workers_that_are_being_born_do_not_hear_ctrl_c(folder: Path) -> None:
     assert (running.wait(), *running.communicate()) == (130, "", said)
 
 
+def test_ctrl_c_before_a_task_is_taken_leaves_one_sentence(folder: Path) -> None:
+    """The thread that hands tasks to workers stumbles over one that it has not taken yet when it is told to end."""
+    (folder / "jobs/other.toml").write_bytes((folder / "jobs/plain.toml").read_bytes())
+    slow = (
+        "from joblib.externals.loky.process_executor import _ExecutorManagerThread as T; "
+        "taken = T.add_call_item_to_queue; "
+        "T.add_call_item_to_queue = lambda self: taken(self) if self.executor_flags.shutdown else None"
+    )
+    listening = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {slow}; {MAIN}"
+    command = [sys.executable, "-W", "error", "-c", listening, "fleet", *jobs("plain.toml", "other.toml"), "-j", "2"]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0)
+    parent = psutil.Process(running.pid)
+    while running.poll() is None and len(parent.children()) < 3:  # two workers, and what minds their resources
+        time.sleep(0.001)
+    os.killpg(running.pid, signal.SIGINT)
+    said = "Error: interrupted; what is finished is kept, and the same command goes on with the rest.\n"
+    assert (running.wait(), *running.communicate()) == (130, "", said)
+
+
 # A cluster. -------------------------------------------------------------------------------------------------------
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.identification.parameters import Parameter
+from calib.identification.parameters import TOOL, UNSHOWN_TOOL_WIDTH, Parameter
 from calib.machine.not_seen import likely_widths
 
 LENGTHS = tuple(Parameter(f"joint_{k}.tx", "m", "placement", ((k, 1.0),), weak_prior=1e-2) for k in range(40))
@@ -62,3 +62,10 @@ def test_without_noise_nothing_breaks() -> None:
     J, r, z = system(rng, true, 25)
     widths = likely_widths(ALL, 1e7 * J, 1e7 * r, z)
     assert 0.2 < widths[0] < 1.0
+
+
+def test_a_tool_that_is_held_nearer_than_it_is_known_is_as_far_as_tools_are() -> None:
+    tool = Parameter("tool.x", "m", "tool", ((0, 1.0),), weak_prior=UNSHOWN_TOOL_WIDTH, freed=1.3)
+    nothing = np.zeros((1, 1)), np.zeros(1), np.zeros(1)
+    assert likely_widths((tool,), *nothing) * tool.scale == pytest.approx(TOOL)
+    assert likely_widths((tool.as_freed,), *nothing) * tool.scale == pytest.approx(1.3)

@@ -207,6 +207,44 @@ def test_a_workbook_in_the_place_of_a_table_says_what_to_do(folder: Path) -> Non
     said = run("init", UR10, "m.xlsx")
     expected = "Error: m.xlsx: is a workbook, and no text; calib import m.xlsx -o table.csv makes a table.\n"
     assert (said.code, said.err) == (1, expected)
+    (folder / "m.xlsx").rename(folder / "m.csv")
+    expected = "Error: m.csv: is a workbook, and no text; call it .xlsx, and calib import makes a table of it.\n"
+    assert run("import", "m.csv", "-o", "t.csv") == (1, "", expected)
+
+
+def test_the_sheet_that_is_seen_is_read(folder: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["old"])
+    book.active.append([1.0])
+    book.active.sheet_state = "hidden"
+    seen = book.create_sheet("new")
+    for row in (["a", "b", None], [1.0, 0.0], [0.0, 0.0]):
+        seen.append(row)
+    seen.cell(900_000, 900).number_format = "0.00"
+    book.active = 1
+    book.save(folder / "a.xlsx")
+    begun = time.process_time()
+    found = read_sheet("a.xlsx")
+    assert (found.titles, [[float(cell) for cell in row] for row in found.rows]) == (("a", "b"), [[1, 0], [0, 0]])
+    assert time.process_time() - begun < 10.0
+
+
+def test_what_is_too_wide_is_refused_and_not_cut(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    titles = [f"c{k}" for k in range(1001)]
+    book = openpyxl.Workbook()
+    for row in (titles, range(1001)):
+        book.active.append(list(row))
+    book.save(folder / "a.xlsx")
+    (folder / "a.csv").write_text("\n".join([",".join(titles), ",".join(map(str, range(1001)))]))
+    for name in ("a.xlsx", "a.csv"):
+        with pytest.raises(calib.MeasurementError, match=rf"^{name}: has (more than 1000|1001) columns"):
+            read_sheet(name)
+    monkeypatch.setattr(workbook, "_MOST_COLUMNS", 2000)
+    monkeypatch.setattr(workbook, "_MOST_VALUES", 1500)
+    with pytest.raises(calib.MeasurementError, match=r"^a.xlsx: has more than 1500 cells\.$"):
+        read_sheet("a.xlsx")
 
 
 def test_what_unpacks_to_too_much_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

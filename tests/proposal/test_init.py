@@ -10,6 +10,7 @@ from tests.proposal.twins import TWINS
 from tests.support.cases import run
 from tests.support.people import PANDA, UR10
 
+UR10_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 OF = {twin.name: twin for twin in TWINS}
 
 
@@ -72,6 +73,24 @@ def test_nothing_is_written_over_and_nothing_where_something_is_asked(folder: Pa
     said = run("init", UR10, "measured.csv", "--yes", "--angles", "rad")
     assert (said.code, said.err) == (1, "Error: calibration.toml: already exists; choose another name.\n")
     assert (folder / "calibration.toml").read_text() == "mine"
+
+
+def test_cells_that_are_no_numbers_and_columns_without_a_name_are_told(folder: Path) -> None:
+    titles = [f"{joint}_joint [rad]" for joint in UR10_JOINTS] + ["x [mm]", "y [mm]", "z [mm]"]
+    row = ",".join(["\u22120.5"] * len(titles))
+    (folder / "a.csv").write_text("\n".join([",".join(titles), row, row]), encoding="utf-8")
+    assert run("init", UR10, "a.csv", "-y") == (
+        *(1, ""),
+        "Error: a.csv: column 'shoulder_pan_joint [rad]' is of a joint, and '\u22120.5' in it is no number, like "
+        "12.5 or 1.25e1.\n",
+    )
+    put(folder, "no units")
+    lines = (folder / "measured.csv").read_text(encoding="utf-8").splitlines()
+    (folder / "measured.csv").write_text("\n".join(f"{line}," for line in lines), encoding="utf-8")
+    assert run("init", UR10, "measured.csv", "-y") == (
+        *(1, ""),
+        "Error: measured.csv: a column has no name (is there a comma too many?).\n",
+    )
 
 
 def test_files_by_their_names_judge(folder: Path) -> None:

@@ -478,7 +478,7 @@ TWINS = [
     Twin(
         "pixels",
         lambda: text([*J, "u", "v"], [degrees(), 300.0 + 10.0 * S().position[:, :2]]),
-        asks="observes",
+        refuses="no table says of which camera; from photographs, calib import images writes table and job",
     ),
 ]
 

@@ -15,8 +15,8 @@ def residual(seen: Seen) -> Linearised:
     """
     orientation = seen.data.orientation
     assert orientation is not None, "poses have measured orientations"
-    R, linear = seen.tools[:, :3, :3], position.residual(seen)
-    turn = rigid.log3(np.einsum("nji,njk->nik", R, orientation[seen.rows]))
+    R_t, linear = np.swapaxes(seen.tools[:, :3, :3], 1, 2), position.residual(seen)
+    turn = rigid.log3(R_t @ orientation[seen.rows])
     # log(exp(-w) exp(r)) = r - Jl(r)^-1 w, with w in the axes of the tool.
-    by_turn = np.einsum("nij,nkj->ikn", -rigid.left_jacobian_inverse(turn), R)
+    by_turn = np.ascontiguousarray((-rigid.left_jacobian_inverse(turn) @ R_t).transpose(1, 2, 0))
     return Linearised(np.concatenate([linear.residual, turn], axis=1), (*linear.tool, Follow(None, by_turn)))

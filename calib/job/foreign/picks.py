@@ -4,11 +4,12 @@ import re
 from collections.abc import Iterable, Sequence
 
 from calib.foundations.errors import MeasurementError
-from calib.foundations.words import listed
+from calib.foundations.words import listed, shown
 from calib.job.chains import Chain, behind
 from calib.job.foreign.answers import Pick, ask, run_of
 from calib.job.foreign.seen import Seen
 from calib.measurement import roles
+from calib.measurement.layout import is_number
 
 _MOST_ARMS = 12
 # Joints beyond an arm.
@@ -123,6 +124,16 @@ def _as_answered(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
 
 def no_joints(seen: Seen) -> Exception:
     """Return what to raise where no column is a joint."""
+    joints = {name for arm in seen.arms for name in arm.joints}
+    for column in seen.raw.columns:
+        wrong = [word for word in column.words if word and not is_number(word, ",")]
+        if column.numbers is None and column.name in joints and wrong:
+            # Surely no number are those that are none with a decimal comma either.
+            cell = next((word for word in wrong if not is_number(word, ";")), wrong[0])
+            return MeasurementError(
+                f"{seen.raw.where}: column {column.title!r} is of a joint, and {shown(cell)} in it is no number, like "
+                "12.5 or 1.25e1."
+            )
     there = listed([column.title for column in seen.raw.columns])
     longest = seen.arms[0].joints if seen.arms else ()
     sizes = [size for size in roles.numbered_columns(seen.raw) if size > 2] if seen.raw.named else []

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS
 from calib.foundations.words import listed
 from calib.identification.followed import FEWEST_ROWS, pivots
@@ -82,11 +83,9 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
     kind, where = seen.answers.observes, seen.raw.where
     known = seen.known
     if kind is None and known.pixels is not None:
-        raise ask(
-            "observes",
-            f"{where}: u and v are pixels, and the camera's numbers are not known; write the job by hand",
-            (),
-            "a job file with instruments.NAME of kind camera",
+        raise MeasurementError(
+            f"{where}: u and v are pixels, and no table says of which camera; from photographs, calib import images "
+            'writes table and job; else write a job with [instruments.NAME] of kind = "camera" (docs/cameras.md).'
         )
     whole = [pick for pick in picks if pick.point is None] or list(picks)
     if not seen.raw.named:
@@ -214,6 +213,8 @@ def _result(seen: Seen, pick: Pick, kind: Kind, names: dict[str, str], orientati
     for column in seen.raw.columns:
         if column.title in taken:
             continue
+        if not column.title.strip():
+            raise MeasurementError(f"{seen.raw.where}: a column has no name (is there a comma too many?).")
         kept = column.name in own | told and column.name not in ours and is_ours(column)
         if not kept:
             ignore.append(column.title)

@@ -55,13 +55,17 @@ def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
     data = read_bytes(path, MeasurementError, _LARGEST)
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        return _of_log(data, where, part) or _with_names_of_log(_of_text(data, where))
+        return _not_too_wide(_of_log(data, where, part) or _with_names_of_log(_of_text(data, where)))
     titles, rows = reader(data, where)
     if not rows or not titles:
         raise MeasurementError(f"{where}: has no rows.")
-    if len(titles) > _MOST_COLUMNS:
-        raise MeasurementError(f"{where}: has {len(titles)} columns; allowed are {_MOST_COLUMNS}.")
-    return Sheet(tuple(titles), tuple(map(tuple, rows)), where)
+    return _not_too_wide(Sheet(tuple(titles), tuple(map(tuple, rows)), where))
+
+
+def _not_too_wide(sheet: Sheet) -> Sheet:
+    if len(sheet.titles) > _MOST_COLUMNS:
+        raise MeasurementError(f"{sheet.where}: has {len(sheet.titles)} columns; allowed are {_MOST_COLUMNS}.")
+    return sheet
 
 
 def _of_log(data: bytes, where: str, part: str | None) -> Sheet | None:

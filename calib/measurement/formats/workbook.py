@@ -1,4 +1,4 @@
-"""The first sheet of a workbook (.xlsx). Needs the package openpyxl."""
+"""The first sheet of a workbook (.xlsx) that is not hidden. Needs the package openpyxl."""
 
 import io
 import warnings
@@ -12,11 +12,14 @@ from calib.measurement.layout import is_number
 
 # Of the archive unpacked; a workbook of a million cells has some 50 MB.
 _LARGEST = 200_000_000
-_MOST_ROWS, _MOST_COLUMNS = 200_000, 1000
+_MOST_ROWS, _MOST_COLUMNS, _MOST_VALUES = 200_000, 1000, 5_000_000
 
 
 def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """Return titles and cells of the first sheet; a first row of numbers is no header. Formulas are as shown."""
+    """Return titles and cells of the first sheet that is not hidden; a first row of numbers is no header.
+
+    Formulas are as shown.
+    """
     try:
         import openpyxl  # noqa: PLC0415 - an extra
     except ImportError as e:
@@ -30,13 +33,10 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and extensions that are not needed
             book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
-            rows = []
-            for row in book.worksheets[0].iter_rows(max_row=_MOST_ROWS + 1, max_col=_MOST_COLUMNS, values_only=True):
-                cells = [_cell(value) for value in row]
-                if any(cells):
-                    rows.append(cells)
+            shown = next((k for k, sheet in enumerate(book.worksheets) if sheet.sheet_state == "visible"), 0)
+            rows = _rows(book.worksheets[shown], where)
             book.close()
-            uncomputed = _uncomputed(openpyxl, data) if formulas else ""
+            uncomputed = _uncomputed(openpyxl, data, shown) if formulas else ""
     except MeasurementError:
         raise
     except (zipfile.BadZipFile, *DAMAGED) as e:
@@ -46,10 +46,8 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
             f"{where}: cell {uncomputed} has a formula that was never computed; save the workbook in the program that "
             "computes it."
         )
-    if len(rows) > _MOST_ROWS:
-        raise MeasurementError(f"{where}: has more than {_MOST_ROWS} rows.")
-    width = max((1 + max(k for k, cell in enumerate(row) if cell) for row in rows), default=0)
-    rows = [(row + [""] * width)[:width] for row in rows]
+    width = max(map(len, rows), default=0)
+    rows = [row + [""] * (width - len(row)) for row in rows]
     if not rows:
         raise MeasurementError(f"{where}: has no rows.")
     if all(is_number(cell, ",") for cell in rows[0] if cell):
@@ -58,11 +56,34 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
     return titles, rows[1:]
 
 
-def _uncomputed(openpyxl: Any, data: bytes) -> str:
-    """Return the first cell of the first sheet with a formula and no value, "" where there is none."""
+def _rows(sheet: Any, where: str) -> list[list[str]]:
+    """Return the rows of a sheet that are not empty, each up to its last cell that is not."""
+    rows: list[list[str]] = []
+    width = 0
+    for row in sheet.iter_rows(max_row=_MOST_ROWS + 1, max_col=_MOST_COLUMNS + 1, values_only=True):
+        if row.count(None) == len(row):  # of rows that are left out there may be many
+            continue
+        cells = [_cell(value) for value in row]
+        while cells and not cells[-1]:
+            cells.pop()
+        if cells:
+            rows.append(cells)
+            width = max(width, len(cells))
+        if width > _MOST_COLUMNS:
+            raise MeasurementError(f"{where}: has more than {_MOST_COLUMNS} columns.")
+        if len(rows) > _MOST_ROWS:
+            raise MeasurementError(f"{where}: has more than {_MOST_ROWS} rows.")
+        if width * len(rows) > _MOST_VALUES:
+            raise MeasurementError(f"{where}: has more than {_MOST_VALUES} cells.")
+    return rows
+
+
+def _uncomputed(openpyxl: Any, data: bytes, shown: int) -> str:
+    """Return the first cell of a sheet with a formula and no value, "" where there is none."""
     books = [openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=only) for only in (False, True)]
     try:
-        sheets = (b.worksheets[0].iter_rows(max_row=_MOST_ROWS, max_col=_MOST_COLUMNS) for b in books)
+        # Without a width a row that is left out has no cells.
+        sheets = (b.worksheets[shown].iter_rows(max_row=_MOST_ROWS) for b in books)
         for row in zip(*sheets, strict=True):
             for formula, computed in zip(*row, strict=True):
                 if formula.data_type == "f" and computed.value is None:
