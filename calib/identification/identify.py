@@ -12,6 +12,7 @@ from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import IdentificationError, JobError
 from calib.foundations.linear import one_thread
 from calib.foundations.ranges import RANGES
+from calib.foundations.words import refuse_other
 from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow
 from calib.identification.error_model import ErrorModel
@@ -112,8 +113,7 @@ def _identify(
     together: tuple[Together | None, ...] | None = None,
     near: Fit | None = None,
 ) -> Fit:
-    if null_space not in ("nearest", "minimal", "refuse"):
-        raise JobError(f"null_space: {null_space!r} is not one of nearest, minimal, refuse.")
+    refuse_other(null_space, ("nearest", "minimal", "refuse"), "null_space")
     whole = initial_problem(model, (measurements,) if isinstance(measurements, Measurements) else tuple(measurements))
     sets, parameters = whole.measurements, _chosen(whole.parameters, free)
     if not parameters:
@@ -310,8 +310,7 @@ def _refuse_losses(losses: Sequence[Loss] | None, sets: Sequence[Measurements]) 
     if len(losses) != len(sets):
         raise JobError(f"{len(losses)} losses are given for {len(sets)} sets of measurements.")
     for loss in losses:
-        if loss not in get_args(Loss):
-            raise JobError(f"losses: {loss!r} is not one of {', '.join(get_args(Loss))}.")
+        refuse_other(loss, get_args(Loss), "losses")
 
 
 def _refuse_nowhere(sets: Sequence[Measurements], machine: Machine) -> None:
