@@ -283,7 +283,8 @@ class Kinematics:
         )
         compute, placed = pin.computeFrameJacobian, data.iMf
         for n, q_n in enumerate(np.ascontiguousarray(q)):
-            jacobians[n] = compute(model, data, q_n, first, local)
+            # Pinocchio drops the only column of a single joint.
+            jacobians[n] = compute(model, data, q_n, first, local).reshape(6, model.nv)
             # On its way to the root the computation leaves the frame's placement there.
             placements[n] = placed[0].homogeneous
         return placements, jacobians

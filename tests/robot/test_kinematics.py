@@ -83,3 +83,15 @@ def test_numbers_are_followed_through_another_frame_of_the_link(tree: Tree, fram
     np.testing.assert_allclose(found.transpose(1, 0, 2), expected, atol=1e-12)
     jacobian = rows @ rigid.adjoint(rigid.inverse(tool)) @ regressor.by_joint(TYPES, range(len(TYPES)))
     np.testing.assert_allclose(regressor.by_position(numbers, TYPES).transpose(2, 1, 0), jacobian, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_single_joint_has_a_jacobian_of_one_column(kind: str) -> None:
+    rng = np.random.default_rng(9)
+    kinematics = Kinematics(
+        Tree((kind,), (-1,), placed(rng, (1,))), [Frame(0, rigid.placement(np.eye(3), np.zeros(3)))]
+    )
+    _, jacobians = kinematics.jacobian(rng.normal(size=(3, 1)))
+    along = [0.0, 0.0, 1.0]
+    expected = [*along, 0.0, 0.0, 0.0] if kind == "prismatic" else [0.0, 0.0, 0.0, *along]
+    np.testing.assert_allclose(jacobians, np.tile(np.array(expected)[:, None], (3, 1, 1)), atol=1e-15)
