@@ -341,7 +341,7 @@ def _mm(metres: float) -> str:
 
 
 def _of_readings(readings: Sequence[Reading], *, units: bool) -> Iterator[Mistake]:
-    """Yield what readings may have wrong; ``units``: also what, where nothing was seen, a robot that stands still fits."""
+    """Yield what readings may have wrong; ``units``: also those by which a robot hardly moves and touches one place."""
     ones = np.eye(len(readings))
     for reading, one in zip(readings, ones, strict=True):
         yield Mistake("flipped-sign", f"{reading.name!r} is read with the wrong sign", _read(1.0 - 2.0 * one))
