@@ -6,7 +6,8 @@ by what it explains *alone*; and each is taken away while all others stay free, 
 them. How well corners are found, photographs say by themselves: each has a pose of its own there, so that no arm takes
 part. Where that is most, corners are named. Else it is the simplest cause that alone explains most of what is beyond
 corners, as a print that is too large is likelier than an arm whose every link is: if it explains nearly all. Else the
-only one without which all others together leave most of it. Where there is none such, none is named.
+only one without which all others together leave most of it. Where there is none such, none is named; nor is any
+looked for where even all together leave what cannot be explained: readings that are not of these photographs.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -17,6 +18,7 @@ from typing import Literal
 
 import numpy as np
 
+from calib.assessment.checks.of_errors import LEFT
 from calib.assessment.hand_eye import lens_of
 from calib.assessment.judged import JudgedSet
 from calib.foundations.arrays import Array, BoolArray
@@ -87,8 +89,15 @@ class Blame:
     lens_held: bool
 
     @property
+    def told(self) -> bool:
+        """Whether anything can be said of causes: not where all together explain nothing."""
+        return self.named is not None or any(one.alone is not None or one.beside is not None for one in self.causes)
+
+    @property
     def sentence(self) -> str:
         """What is to be said of it."""
+        if not self.told:
+            return "Nothing that could be wrong with lens, print and arm explains the photographs held out."
         if self.named is None:
             return "No one cause explains by itself what photographs held out ask for."
         if self.named == "corners":
@@ -103,25 +112,32 @@ class Blame:
 
     @property
     def advice(self) -> str:
-        """What to photograph next."""
+        """What to do next."""
+        if not self.told:
+            return "See whether readings and photographs belong together, and robot and board are the right ones."
         told = max(self.causes, key=lambda cause: cause.tool or 0.0)
         name = told.name if (told.tool or 0.0) > 0.5 * self.tool else "corners"
         return f"To be surer where the tool is, {_NEXT[name]}."
 
 
 def blame(fit: Fit, sets: Sequence[JudgedSet]) -> Blame | None:
-    """Return what explains the photographs of boards that are held out, or all where none are; None without boards."""
+    """Return what explains the photographs of boards that are held out, or all where none are; None without boards.
+
+    None as well for a fit whose search has found no end: it explains nothing yet.
+    """
     judged, free = _tried(fit, sets)
-    if not free:
+    if not free or not fit.converged:
         return None
+    held = _held(fit, free)
     whole, left, corners = _left(fit, judged, ()), _all_free(fit, judged, free), _corners(fit, judged)
     if whole is None or left is None or corners is None:
         return None
+    if np.sqrt(min(left, _square([one.after for one in judged]))) > LEFT * _spread(judged):
+        free = []
     several = len(free) > 1
     alone = {name: _left(fit, judged, (name,)) if several else left for name in free}
     others = {name: [other for other in free if other != name] for name in free}
     beside = {name: _left(fit, judged, others[name]) if several else whole for name in free}
-    held = _held(fit, free)
     tool = np.array([p.kind == "tool" and p.unit == "m" for p in fit.parameters])
     parameters = {name: _of(fit, name) for name in _CAUSES}
     causes = tuple(
@@ -238,6 +254,12 @@ def _pair(data: Measurements) -> tuple[str, str]:
 
 def _square(residuals: Sequence[Array]) -> float:
     return float(np.mean(np.concatenate([np.sum(r * r, axis=1) for r in residuals])))
+
+
+def _spread(judged: Sequence[JudgedSet]) -> float:
+    """Return the rms distance of pixels from their mean, in px."""
+    pixels = np.concatenate([one.data.value[:, :2] for one in judged])
+    return float(np.sqrt(_square([pixels - pixels.mean(axis=0)])))
 
 
 def _gain(without: float | None, now: float | None) -> float | None:

@@ -16,6 +16,7 @@ from calib.foundations.choices import MOST_POSES, Observed
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
 from calib.foundations.units import DEG
+from calib.foundations.words import refuse_other
 from calib.identification.error_model import ErrorModel
 from calib.identification.machine import Frames, machine, values_at
 from calib.identification.parameters import directions, scales
@@ -60,8 +61,7 @@ class PlannedMeasurement:
     def __post_init__(self) -> None:
         refuse_fields(self)
         own_fields(self)
-        if self.observes not in get_args(Observed):
-            raise JobError(f"observes: {self.observes!r} is not one of {', '.join(get_args(Observed))}.")
+        refuse_other(self.observes, get_args(Observed), "observes")
         if self.working is not None:
             refuse_shape(self.working, (None, None), "working")
         refuse_beyond(self.sigma, "sigma", "sigma")

@@ -27,6 +27,7 @@ from calib.foundations import linear
 from calib.foundations.arrays import Array
 from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
+from calib.foundations.words import refuse_other
 from calib.identification import identifiability
 
 _MOST_PASSES = 30
@@ -103,8 +104,7 @@ def space(
 
     Raises JobError when the criterion is not known, or the candidates see nothing.
     """
-    if criterion not in ("D", "A", "I"):
-        raise JobError(f"criterion: {criterion!r} is not one of D, A, I.")
+    refuse_other(criterion, ("D", "A", "I"), "criterion")
     J = candidates.of_parameters
     p = J.shape[2]
     known = np.diag(np.zeros(p) if prior is None else prior**-2.0)

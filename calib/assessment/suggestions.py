@@ -13,7 +13,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import CalibError
 from calib.identification.error_model import with_terms
 from calib.identification.fit import Fit
-from calib.identification.identify import identify, residuals_of
+from calib.identification.identify import identify_near, residuals_of
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import joined
@@ -83,7 +83,7 @@ def _with(fit: Fit, kind: Kind, held_out: Sequence[Measurements]) -> tuple[Array
         if not offered:
             return None
         model = with_terms(fit.model, (*robot.terms, *offered))
-        found = identify(model, fit.measurements, losses=fit.losses)
+        found = identify_near(fit, model, fit.measurements, losses=fit.losses)
         return residuals_of(found, held_out, found.machine) if found.converged else None
     except CalibError:  # as where the URDF states no masses
         return None

@@ -28,6 +28,11 @@ def triangle(M: Array) -> Array:
     return cast(Array, cast(Any, np.linalg.qr)(M, mode="r"))
 
 
+def triangles(M: Array) -> Array:
+    """Return the triangles R (k, min(m, n), n) of matrices (k, m, n), as :func:`triangle` of each."""
+    return cast(Array, cast(Any, np.linalg.qr)(M, mode="r"))
+
+
 def inverse_triangle(rows: Array, tolerance: float) -> tuple[Array, Array] | None:
     """Return the inverse (c, c) of a triangle ``[R r]`` (q, c + 1), and ``-R^-1 r`` (c,); None where R is singular.
 

@@ -3,6 +3,8 @@
 import difflib
 from collections.abc import Collection, Iterable
 
+from calib.foundations.errors import CalibError, JobError
+
 LONGEST_SHOWN = 60
 # Likeness takes time with the square of the length, and is asked of every known word.
 _LONGEST_COMPARED = 100
@@ -24,6 +26,12 @@ def listed(names: Collection[str], most: int = 12) -> str:
     first = list(names)[:most]
     more = f" and {len(names) - len(first)} more" if len(names) > len(first) else ""
     return ", ".join(map(shown, first)) + more
+
+
+def refuse_other(word: str, allowed: Collection[str], where: str, error: type[CalibError] = JobError) -> None:
+    """Raise ``error`` for a word that is not one of those allowed."""
+    if word not in allowed:
+        raise error(f"{where}: {shown(word)} is not one of {', '.join(allowed)}.")
 
 
 def near(name: str, known: Iterable[str], most: int = 3, likeness: float = 0.6) -> list[str]:

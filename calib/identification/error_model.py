@@ -16,6 +16,7 @@ from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, RobotError
 from calib.foundations.ranges import refuse_beyond
 from calib.foundations.selection import Selection, listed_names, select
+from calib.foundations.words import refuse_other
 from calib.identification.machine import POSE, Frames, Layout
 from calib.identification.parameters import TERM_WIDTH, Parameter, ParameterKind, Priors, width
 from calib.identification.relations import Relation
@@ -238,8 +239,8 @@ def error_model(
     dh = placements if isinstance(placements, Free) else Free("none", placements=placements)
     freed = _select_placements(robot, dh.placements)
     _refuse_priors(priors, robot)
-    _refuse_other_words("base", base, get_args(BaseFreedom))
-    _refuse_other_words("tool", tool, get_args(ToolFreedom))
+    refuse_other(base, get_args(BaseFreedom), "base")
+    refuse_other(tool, get_args(ToolFreedom), "tool")
 
     seeks_dh = not (isinstance(dh.numbers, str) and dh.numbers == "none")
     frames = dh_frames(robot, dh.convention, dh.parallel) if seeks_dh else None
@@ -309,11 +310,6 @@ def _chosen_terms(robot: Robot, terms: Mapping[str, object] | Sequence[JointTerm
     if twice := next((term for term, count in Counter(given).items() if count > 1), None):
         raise JobError(f"terms: {twice.name!r} comes twice.")
     return given
-
-
-def _refuse_other_words(what: str, value: str, allowed: Sequence[str]) -> None:
-    if value not in allowed:
-        raise JobError(f"{what}: {value!r} is not one of {', '.join(allowed)}.")
 
 
 def _refuse_priors(priors: Priors, robot: Robot) -> None:

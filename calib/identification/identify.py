@@ -12,6 +12,7 @@ from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import IdentificationError, JobError
 from calib.foundations.linear import one_thread
 from calib.foundations.ranges import RANGES
+from calib.foundations.words import refuse_other
 from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow
 from calib.identification.error_model import ErrorModel
@@ -28,6 +29,7 @@ from calib.identification.parameters import Parameter, scales
 from calib.identification.solver import Near, Solution, solution_at, solve
 from calib.identification.system import Problem, photograph_numbers, residuals, with_twists
 from calib.identification.together import FEWEST, Together, likeliest
+from calib.measurement.lens import FOCAL
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations
 
@@ -111,8 +113,7 @@ def _identify(
     together: tuple[Together | None, ...] | None = None,
     near: Fit | None = None,
 ) -> Fit:
-    if null_space not in ("nearest", "minimal", "refuse"):
-        raise JobError(f"null_space: {null_space!r} is not one of nearest, minimal, refuse.")
+    refuse_other(null_space, ("nearest", "minimal", "refuse"), "null_space")
     whole = initial_problem(model, (measurements,) if isinstance(measurements, Measurements) else tuple(measurements))
     sets, parameters = whole.measurements, _chosen(whole.parameters, free)
     if not parameters:
@@ -126,7 +127,7 @@ def _identify(
     before = replace(whole, parameters=tuple(p for p in whole.parameters if not p.of_robot))
     x0 = values_at(model.robot, before.parameters, whole.reference)
     fitted = not before.parameters or (is_fit(sets) and not before.robust) or near is not None
-    nominal = before.machine(x0 if fitted else _with_anchors(before, solve(before, x0, variances), variances).x)
+    nominal = before.machine(x0 if fitted else _placed(before, x0, variances))
 
     reference, deviations = _beginning(begin, sets[0], nominal.frames)
     problem = replace(whole, parameters=parameters, reference=reference, held=deviations)
@@ -156,6 +157,7 @@ def _identify(
         given = _given(problem, variances)
         found = solve(problem, values_at(model.robot, problem.parameters, reference, deviations), given)
     machine = problem.machine(found.x)
+    _refuse_nowhere(sets, machine)
     after = problem.residuals_of(machine)
     spread_out = _with_common(problem, found.variances)
     sigmas = weights.sigmas_of(plain, spread_out, after)
@@ -257,6 +259,16 @@ def _of_set(problem: Problem, data: Measurements, at: Machine, units: Array, kno
     return Together.of(*told, number, rows.by_twist, np.sqrt(data.sigma**2 + told[2]))
 
 
+def _placed(before: Problem, x0: Array, variances: Sequence[float | None] | None) -> Array:
+    """Return values (p,) of frames and lenses for the nominal robot; x0 where a search has only gone away from it."""
+    found = _with_anchors(before, solve(before, x0, variances), variances)
+    if found.converged:
+        return found.x
+    ends, starts = (before.residuals_of(before.machine(x)) for x in (found.x, x0))
+    farther = all(np.sum(end**2) > np.sum(start**2) for end, start in zip(ends, starts, strict=True))
+    return x0 if farther else found.x
+
+
 def _with_anchors(problem: Problem, found: Solution, variances: Sequence[float | None] | None) -> Solution:
     """Return the solution, or the one from where anchors are elsewhere, while some fit clearly better there."""
     for _ in range(_MOST_TURNS):
@@ -298,8 +310,22 @@ def _refuse_losses(losses: Sequence[Loss] | None, sets: Sequence[Measurements]) 
     if len(losses) != len(sets):
         raise JobError(f"{len(losses)} losses are given for {len(sets)} sets of measurements.")
     for loss in losses:
-        if loss not in get_args(Loss):
-            raise JobError(f"losses: {loss!r} is not one of {', '.join(get_args(Loss))}.")
+        refuse_other(loss, get_args(Loss), "losses")
+
+
+def _refuse_nowhere(sets: Sequence[Measurements], machine: Machine) -> None:
+    """Raise IdentificationError where a search has ended at what cannot be: a far tool, no focal length."""
+    frames, place, focal = machine.frames, "position, station, point", "fx, fy"
+    named = zip((*sets[0].tools, *sets[0].setups), (*frames.tools, *frames.bases), strict=True)
+    found = [(repr(name), place, "m", float(value)) for name, T in named for value in T[:3, 3]]
+    focal_lengths = {k for data in sets for role, k in data.uses.items() if role in FOCAL}
+    found += [(sets[0].scalars[k].name, focal, "px", float(frames.scalars[k])) for k in sorted(focal_lengths)]
+    for what, name, unit, value in found:
+        if not RANGES[name].holds(value):
+            raise IdentificationError(
+                f"the search has ended where nothing can be, with {what} at {value:.3g} {unit}, as nothing nearer "
+                "explains the measurements: are the readings theirs, and is it the right robot?"
+            )
 
 
 def _near(fit: Fit, problem: Problem, x0: Array) -> Near:

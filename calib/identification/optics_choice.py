@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.identification.initialisation.lenses import LEAST_PHOTOGRAPHS, legible, photographs_of
-from calib.identification.photographs import Bundle, clearly_better, found_optics, held_out
+from calib.identification.photographs import Bundle, clearly_better, found_optics, held_out, rms
 from calib.measurement.boards import Board, BoardShape
 from calib.measurement.instruments import Camera
 from calib.measurement.lens import BENT, RATIONAL
@@ -16,6 +16,8 @@ from calib.measurement.optics import seen_by
 
 # Fewer photographs cannot spare a fold; more do not make a better choice.
 _LEAST, _MOST = 8, 60
+# Of the spread of all pixels: what leaves more is no board that is bent, but other marks.
+_NO_BOARD = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +50,8 @@ def choose_optics(
     """Return the camera and the board of sets of one of each, with as many numbers as photographs ask for.
 
     ``shapes``: that the board may have, from the simplest on; ``rational``: whether the distortion may have eight
-    numbers. A richer model is taken where it foretells photographs held out clearly better. Numbers of a lens
+    numbers. A richer model is taken where it foretells photographs held out clearly better, and not tried where the
+    search for the simplest one has no end, or leaves nearly all: no camera has seen such marks. Numbers of a lens
     that nobody gave are then those that photographs alone have found. None where there are not enough of them.
     """
     camera, board = sets[0].camera, sets[0].board
@@ -61,7 +64,9 @@ def choose_optics(
             return None
         tried.append(new)
         taken = new if taken is None or new.better_than(taken) else taken
-    if rational and taken is not None and set(BENT) <= set(camera.free):
+        if tried[0].lost:
+            break
+    if rational and taken is not None and not tried[0].lost and set(BENT) <= set(camera.free):
         new = _fit(sets, replace(camera, free=(*camera.free, *RATIONAL)), taken.board)
         if new is not None:
             tried.append(new)
@@ -87,6 +92,12 @@ class _Fitted:
     board: Board
     bundle: Bundle
     squares: Array | None
+    spread: float
+
+    @property
+    def lost(self) -> bool:
+        """Whether its search has found no end, or leaves nearly all of the ``spread``, the rms of all pixels."""
+        return not self.bundle.converged or self.bundle.rms > _NO_BOARD * self.spread
 
     def better_than(self, other: "_Fitted") -> bool:
         return self.squares is not None and other.squares is not None and clearly_better(other.squares, self.squares)
@@ -105,4 +116,6 @@ def _fit(sets: Sequence[Measurements], camera: Camera, board: Board) -> _Fitted 
     bundle = found_optics(some, camera.free, camera.lens) if len(some) >= LEAST_PHOTOGRAPHS else None
     if bundle is None:
         return None
-    return _Fitted(camera, board, bundle, held_out(some, camera.free, bundle) if len(some) >= _LEAST else None)
+    squares = held_out(some, camera.free, bundle) if len(some) >= _LEAST else None
+    pixels = np.concatenate([one.pixels for one in some])
+    return _Fitted(camera, board, bundle, squares, rms([pixels - pixels.mean(axis=0)]))

@@ -52,11 +52,15 @@ class Optics(NamedTuple):
 
 
 class Bundle(NamedTuple):
-    """Optics, the poses (m, 4, 4) of the board in the camera, and the residuals (n, 2), in px, of every photograph."""
+    """Optics, the poses (m, 4, 4) of the board in the camera, and the residuals (n, 2), in px, of every photograph.
+
+    ``converged``: whether the search has ended by itself.
+    """
 
     optics: Optics
     poses: Array
     residuals: tuple[Array, ...]
+    converged: bool
 
     @property
     def rms(self) -> float:
@@ -128,28 +132,66 @@ def fit(
     ``shape``: whether the board's is sought, in all its modes. Weak priors about the start hold what photographs do not
     tell; marks that lie off weigh less.
     """
-    sought = _Sought.of(free, start, shape=shape)
-    common, damping = sought.start, 1e-3
-    seen = [_see(one, start, T, sought) for one, T in zip(photographs, poses, strict=True)]
+    sought, stack = _Sought.of(free, start, shape=shape), _Stack.of(photographs)
+    common, damping, converged = sought.start, 1e-3, False
+    seen = _see(stack, start, poses, sought)
     for _ in range(_MOST_STEPS):
-        weights = _weights(photographs, seen)
+        weights = _weights(stack, seen)
         cost = _cost(seen, weights) + sought.cost(common)
         moved = False
         while not moved and damping < _MOST_DAMPING:
-            step, twists = _step(seen, weights, sought, common, damping)
+            step, twists = _step(stack, seen, weights, sought, common, damping)
             trial = common + step
             turned = poses @ rigid.placement(rigid.exp3(twists[:, 3:]), twists[:, :3])
-            again = [_see(one, sought.at(trial), T, sought) for one, T in zip(photographs, turned, strict=True)]
+            again = _see(stack, sought.at(trial), turned, sought)
             lower = _cost(again, weights) + sought.cost(trial)
             moved = lower <= cost
             damping *= 0.1 if moved else 10.0
         if not moved:
+            converged = True
             break
         common, poses, seen = trial, turned, again
         damping = max(damping, _LEAST_DAMPING)
         if cost - lower <= _NEGLIGIBLE * cost:
+            converged = True
             break
-    return Bundle(sought.at(common), poses, tuple(one.residual for one in seen))
+    return Bundle(sought.at(common), poses, stack.apart(seen.residual), converged)
+
+
+class _Alike(NamedTuple):
+    """Photographs (k,) of equally many marks, and their rows (k, n) among those of all."""
+
+    photographs: IntArray
+    rows: IntArray
+
+
+class _Stack(NamedTuple):
+    """All photographs as one: pixels, marks, modes and sigmas of N rows, and the ``photograph`` (N,) of each.
+
+    To compute with all of them at once takes a fraction of the time of one photograph after another.
+    """
+
+    pixels: Array
+    marks: Array
+    modes: Array
+    sigma: Array
+    photograph: IntArray
+    alike: tuple[_Alike, ...]
+
+    @classmethod
+    def of(cls, photographs: Sequence[Photograph]) -> "_Stack":
+        counts = np.array([len(one.marks) for one in photographs], dtype=np.intp)
+        starts, which = np.cumsum(counts) - counts, np.arange(len(counts), dtype=np.intp)
+        alike = tuple(
+            _Alike(those := which[counts == n], starts[those, None] + np.arange(n, dtype=np.intp))
+            for n in np.unique(counts).tolist()
+        )
+        pixels, marks, modes, sigma = (np.concatenate(part) for part in zip(*photographs, strict=True))
+        return cls(pixels, marks, modes, sigma, np.repeat(which, counts), alike)
+
+    def apart(self, values: Array) -> tuple[Array, ...]:
+        """Return values (N, ...) of the rows, photograph by photograph."""
+        return tuple(np.split(values, np.flatnonzero(np.diff(self.photograph)) + 1))
 
 
 class _Sought(NamedTuple):
@@ -179,67 +221,66 @@ class _Sought(NamedTuple):
         return float(np.sum(((common - self.start) / self.widths) ** 2))
 
 
-class _SeenPhotograph(NamedTuple):
-    """Residuals (n, 2), and their derivatives by the board's twist (n, 2, 6) and by what is sought (n, 2, p)."""
+class _Seen(NamedTuple):
+    """Residuals (N, 2), and their derivatives by the board's twist (N, 2, 6) and by what is sought (N, 2, p)."""
 
     residual: Array
     by_pose: Array
     by_common: Array
 
 
-def _see(photograph: Photograph, optics: Optics, pose: Array, sought: _Sought) -> _SeenPhotograph:
-    marks, by_values = places_of(photograph.marks, photograph.modes, np.concatenate([[0.0], optics.shape]))
-    R = pose[:3, :3]
-    projected = project(optics.lens, marks @ R.T + pose[:3, 3])
+def _see(stack: _Stack, optics: Optics, poses: Array, sought: _Sought) -> _Seen:
+    marks, by_values = places_of(stack.marks, stack.modes, np.concatenate([[0.0], optics.shape]))
+    T = poses[stack.photograph]
+    R = T[:, :3, :3]
+    projected = project(optics.lens, (R @ marks[:, :, None])[:, :, 0] + T[:, :3, 3])
     by_mark = projected.by_point @ R
     common = [by_lens(optics.lens, projected.flat)[:, :, sought.entries]]
     if sought.shape:
         common.append(by_mark @ by_values[:, :, 1:])
     by_pose = np.concatenate([by_mark, -by_mark @ rigid.skew(marks)], axis=2)
-    return _SeenPhotograph(photograph.pixels - projected.pixels, -by_pose, -np.concatenate(common, axis=2))
+    return _Seen(stack.pixels - projected.pixels, -by_pose, -np.concatenate(common, axis=2))
 
 
-def _weights(photographs: Sequence[Photograph], seen: Sequence[_SeenPhotograph]) -> list[Array]:
-    """Return by how much rows (n, 2) count: 1 over their noise, as it shows, and less where marks lie off."""
-    whitened = [one.residual / photograph.sigma for one, photograph in zip(seen, photographs, strict=True)]
-    off = [np.linalg.norm(e, axis=1) for e in whitened]
+def _weights(stack: _Stack, seen: _Seen) -> Array:
+    """Return by how much rows (N, 2) count: 1 over their noise, as it shows, and less where marks lie off."""
+    far = np.linalg.norm(seen.residual / stack.sigma, axis=1)
     # The median of a two-dimensional normal error is 1.18 sigma.
-    spread = max(float(np.median(np.concatenate(off))) / 1.18, 1e-9)
-    return [
-        np.sqrt(np.minimum(1.0, _FAR * spread / np.maximum(far, 1e-12)))[:, None] / (spread * photograph.sigma)
-        for far, photograph in zip(off, photographs, strict=True)
-    ]
+    spread = max(float(np.median(far)) / 1.18, 1e-9)
+    return np.asarray(
+        np.sqrt(np.minimum(1.0, _FAR * spread / np.maximum(far, 1e-12)))[:, None] / (spread * stack.sigma)
+    )
 
 
-def _cost(seen: Sequence[_SeenPhotograph], weights: Sequence[Array]) -> float:
-    return float(sum(np.sum((w * one.residual) ** 2) for one, w in zip(seen, weights, strict=True)))
+def _cost(seen: _Seen, weights: Array) -> float:
+    return float(np.sum((weights * seen.residual) ** 2))
 
 
 def _step(
-    seen: Sequence[_SeenPhotograph], weights: Sequence[Array], sought: _Sought, common: Array, damping: float
+    stack: _Stack, seen: _Seen, weights: Array, sought: _Sought, common: Array, damping: float
 ) -> tuple[Array, Array]:
     """Return the damped step of what is sought (p,), and of the poses (m, 6), eliminated one by one."""
     p = len(common)
     rows = [np.column_stack([np.eye(p), (common - sought.start) / sought.widths])]
-    kept = []
-    for one, w in zip(seen, weights, strict=True):
-        n = one.residual.size
-        A = (w[:, :, None] * one.by_pose).reshape(n, 6)
-        C = (w[:, :, None] * one.by_common).reshape(n, p) * sought.widths
-        units = np.linalg.norm(A, axis=0) + _TINY
-        A = np.concatenate([A, np.diag(np.sqrt(damping) * units)])
-        rest = np.zeros((n + 6, p + 1))
-        rest[:n, :p], rest[:n, p] = C, (w * one.residual).ravel()
-        Q, R = np.linalg.qr(A, mode="complete")
-        turned = Q.T @ rest
-        kept.append((R[:6], turned[:6]))
-        rows.append(linear.triangle(turned[6:]))
+    w = weights[:, :, None]
+    whole = np.concatenate(
+        [w * seen.by_pose, w * seen.by_common * sought.widths, w * seen.residual[:, :, None]], axis=2
+    )
+    of_poses = np.zeros((int(stack.photograph[-1]) + 1, 6, p + 7))
+    for alike in stack.alike:
+        own = whole[alike.rows].reshape(len(alike.rows), -1, p + 7)
+        held = np.zeros((len(own), 6, p + 7))
+        held[:, range(6), range(6)] = np.sqrt(damping) * (np.linalg.norm(own[:, :, :6], axis=1) + _TINY)
+        # The first six rows are all that has the pose in it.
+        turned = linear.triangles(np.concatenate([own, held], axis=1))
+        of_poses[alike.photographs] = turned[:, :6]
+        rows.append(turned[:, 6:, 6:].reshape(-1, p + 1))
     J = linear.triangle(np.concatenate(rows))
     units = np.linalg.norm(J[:, :p], axis=0)
     damped = np.concatenate([J, np.column_stack([np.diag(np.sqrt(damping) * units), np.zeros(p)])])
     step = -np.linalg.lstsq(damped[:, :p], damped[:, p], rcond=None)[0] if p else np.zeros(0)
-    twists = np.array([-np.linalg.solve(R, of[:, p] + of[:, :p] @ step) for R, of in kept])
-    return sought.widths * step, twists
+    along = of_poses[:, :, -1] + of_poses[:, :, 6:-1] @ step
+    return sought.widths * step, np.asarray(-np.linalg.solve(of_poses[:, :, :6], along[:, :, None])[:, :, 0])
 
 
 def found_optics(photographs: Sequence[Photograph], free: Sequence[str], lens: Lens) -> Bundle | None:

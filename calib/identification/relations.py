@@ -14,6 +14,7 @@ from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
+from calib.foundations.words import refuse_other
 
 RelationKind = Literal["distance", "angle", "offset"]
 _TINY = 1e-12
@@ -39,8 +40,7 @@ class Relation:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
-        if self.kind not in get_args(RelationKind):
-            raise JobError(f"relation: {self.kind!r} is not one of {', '.join(get_args(RelationKind))}.")
+        refuse_other(self.kind, get_args(RelationKind), "relation")
         if self.targets[0] == self.targets[1]:
             raise JobError(f"relation of {self.targets}: is one target; a relation is between two.")
         of_sigma = "relations.sigma of an angle" if self.kind == "angle" else "relations.sigma"

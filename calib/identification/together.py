@@ -23,13 +23,16 @@ from scipy.special import chdtri
 
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
-from calib.foundations.linear import svd, triangle
+from calib.foundations.linear import svd, triangle, triangles
 from calib.identification.arrow import Arrow, Collected, Heads, Inverse, Part, Split, gathered
 
 # That much likelier by chance: not once in as many fits as anybody makes.
 _RARELY = 1e-6
 # Where the search for a and b begins, in m and rad, and within which factors of that it looks.
 _LENGTH, _ANGLE, _RANGE = 1e-4, 3e-4, 1e3
+# No arm comes back as badly as that, in m and rad: its readings are not those of the photographs, and weights by such
+# twists would let go of all that photographs say.
+_MOST_LENGTH, _MOST_ANGLE = 0.01, 0.1
 # Costs are the same within rounding, where a search ends; or where it is level.
 _SAME, _LEVEL, _MOST_STEPS = 1e-14, 1e-5, 300
 # What nothing tells is held by this share of what rows tell; singular values below that share of the largest are
@@ -227,6 +230,8 @@ def _widths(heads: _Heads, known: Arrow) -> tuple[float, float, float, float] | 
     if criterion(np.array([-30.0, -30.0]))[0] - float(best.fun) < float(chdtri(2.0, _RARELY)):
         return None
     a, b = _sizes(best.x)
+    if a > _MOST_LENGTH or b > _MOST_ANGLE:
+        return None
     inverse = criterion.at(a, b)[0]
     return a, b, heads.rest.after(inverse.step), inverse.used(heads.rest)
 
@@ -276,12 +281,14 @@ class _Criterion(NamedTuple):
         """Return the solution with photographs weighed by a and b; their rows, and R, so whitened; and log det V."""
         widths = np.repeat([a, b], 3)
         R, rows = self.heads.R, self.heads.rows
-        of_twists = R * widths
-        lower = np.linalg.cholesky(np.eye(6) + of_twists @ np.swapaxes(of_twists, 1, 2))
+        # The triangle of V, without forming it: of marks at a camera's own plane it would not be positive in numbers.
+        eye = np.broadcast_to(np.eye(6), R.shape)
+        upper = triangles(np.concatenate([eye, np.swapaxes(R * widths, 1, 2)], axis=1))
+        lower = np.swapaxes(upper, 1, 2)
         both = np.linalg.solve(lower, np.concatenate([R, rows], axis=2))
         moved, whitened = both[:, :, :6], both[:, :, 6:]
         whole = _with(self.fixed, _reduced(self.fixed.split, list(whitened), self.heads.block))
-        logs = 2.0 * float(np.sum(np.log(np.diagonal(lower, axis1=1, axis2=2))))
+        logs = 2.0 * float(np.sum(np.log(np.abs(np.diagonal(lower, axis1=1, axis2=2)))))
         return Inverse.of(whole, _SINGULAR), whitened, moved, logs
 
 

@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes, sha256, stamp
 from calib.identification.error_model import ErrorModel
 from calib.identification.losses import Loss
-from calib.identification.optics_choice import OpticsChoice
 from calib.job import refusals, tables
 from calib.job.read import Progress
 from calib.job.schema import Job, MeasurementsSection
@@ -17,6 +16,9 @@ from calib.job.stated import load_arm, meshes_not_found
 from calib.measurement.checks import Finding, copied_tables, table_findings
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from calib.identification.optics_choice import OpticsChoice
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +42,7 @@ class Inputs:
     findings: tuple[Finding, ...]
     hashes: Mapping[str, str]
     files: tuple[Path, ...]
-    optics: tuple[OpticsChoice, ...] = ()
+    optics: "tuple[OpticsChoice, ...]" = ()
 
     @property
     def losses(self) -> tuple[Loss, ...]:

@@ -14,7 +14,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.errors import CalibError, JobError, MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import symbols
-from calib.foundations.words import listed
+from calib.foundations.words import listed, refuse_other
 from calib.job.chains import Chain, chains
 from calib.job.foreign.answers import Answers, AskedError, ask, run_of
 from calib.job.foreign.reader import read
@@ -86,8 +86,8 @@ def _refuse_answers(answers: Answers) -> None:
         ("orientation", answers.orientation, ORIENTATIONS),
         ("observes", answers.observes, get_args(Kind)),
     ):
-        if given is not None and given not in allowed:
-            raise JobError(f"{name}: {given!r} is not one of {', '.join(allowed)}.")
+        if given is not None:
+            refuse_other(given, allowed, name)
 
 
 def _some_robot(document: Urdf, tip: str | None) -> Robot:

@@ -4,9 +4,9 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from glob import escape
+from typing import TYPE_CHECKING
 
 from calib.assessment.blame import blame
-from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.suggestions import suggestions
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError, naming
@@ -18,6 +18,9 @@ from calib.job.inputs import Inputs
 from calib.job.read import Progress
 from calib.job.residuals import residual_model
 from calib.results.calibration import Calibration, LevelReport, Origin, assess
+
+if TYPE_CHECKING:
+    from calib.assessment.choice import Choice
 
 
 def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
@@ -55,17 +58,21 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
     )
     if known is not None:
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, found.judged_by["after"]))
-    if choice is None and not inputs.job.levels and trace is None:
+    # What a fit leaves that explains nothing is nothing that joint terms make smaller.
+    explained = all(check.passed for check in found.checks if check.name == "explained")
+    if choice is None and not inputs.job.levels and trace is None and explained:
         found = replace(found, shown=(*found.shown, *suggestions(fit, inputs.validate)))
     found = replace(found, levels=reports, choice=choice, optics=inputs.optics).accepting(inputs.job.accept)
     return found if inputs.job.levels or trace is not None else found.blaming(blame(fit, found.sets))
 
 
-def _choose(inputs: Inputs, progress: Progress) -> Choice | None:
+def _choose(inputs: Inputs, progress: Progress) -> "Choice | None":
     """Choose joint terms from all that is to be identified from, where the job leaves it to the tool."""
     section = inputs.job.error_model
     if section.terms != "auto":
         return None
+    from calib.assessment.choice import choose_terms  # noqa: PLC0415 - slow to load, and not every job leaves it to us
+
     with naming(f"{inputs.path}: error_model.terms", MeasurementError):
         return choose_terms(
             inputs.model,

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from calib.assessment.validation import hold_out
 from calib.foundations.errors import JobError, MeasurementError, naming
-from calib.identification.optics_choice import OpticsChoice, choose_optics
 from calib.job.read import Progress, read_board
 from calib.job.schema import FLOOR, InstrumentSection, Job, MeasurementsSection
 from calib.job.stated import carrier_of, in_si, payload_of
@@ -25,6 +24,7 @@ from calib.measurement.table import Columns, HeaderError
 from calib.robot.robot import Robot
 
 if TYPE_CHECKING:
+    from calib.identification.optics_choice import OpticsChoice
     from calib.job.arm import ReadArm
 
 
@@ -43,11 +43,13 @@ def lenses_of(job: Job, folder: Path) -> dict[str, tuple[Lens, tuple[int, int] |
 
 def with_optics(
     job: Job, sets: Sequence[Measurements], prints: Mapping[str, Print], progress: Progress
-) -> tuple[list[Measurements], tuple[OpticsChoice, ...]]:
+) -> tuple[list[Measurements], "tuple[OpticsChoice, ...]"]:
     """Return sets with lenses and boards of as many numbers as photographs ask for, and what was compared for it.
 
     Of every camera with a free lens, and of boards that may have several shapes; told by what is to be identified from.
     """
+    from calib.identification.optics_choice import choose_optics  # noqa: PLC0415 - slow to load; few jobs have cameras
+
     found, choices, done = list(sets), [], set()
     for data, section in zip(sets, job.measurements, strict=True):
         if data.camera is None or data.board is None or section.use != "identify" or section.instrument is None:

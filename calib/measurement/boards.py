@@ -19,6 +19,7 @@ from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
 from calib.foundations.linear import svd
 from calib.foundations.ranges import refuse_beyond, refuse_shape
+from calib.foundations.words import refuse_other
 
 BoardShape = Literal["flat", "quadratic", "free"]
 # Printers and paper are right to so much: half a percent.
@@ -57,8 +58,7 @@ class Board:
         refuse_shape(self.marks, (None, 3), "board: marks")
         refuse_beyond(self.marks, "position, station, point", "board: marks")
         refuse_beyond(self.scale_sigma, "square_sigma", "board: square_sigma")
-        if self.shape not in get_args(BoardShape):
-            raise JobError(f"board: shape is {self.shape!r}; allowed are {', '.join(get_args(BoardShape))}.")
+        refuse_other(self.shape, get_args(BoardShape), "board: shape")
         if self.shape != "flat" and len(self.marks) < _LEAST_MARKS:
             raise JobError(f"board: a {self.shape} shape needs the places of six marks or more; write a board.toml.")
         if self.shape == "quadratic" and not can_be_bent(self.marks):

@@ -10,6 +10,7 @@ from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS, RANGES, Range, refuse_beyond
 from calib.foundations.units import Dimension
+from calib.foundations.words import refuse_other
 from calib.measurement.boards import Board
 from calib.measurement.columns import (
     BOARD,
@@ -98,8 +99,7 @@ def measurements_from_table(
     not of unit length, when a pair has not two rows or two lengths, and when the noise is given twice or of coordinates
     that there are not; JobError when ``sigma``, ``instrument`` or ``offset`` cannot be used.
     """
-    if kind not in get_args(Kind):
-        raise JobError(f"observes: {kind!r} is not one of {', '.join(get_args(Kind))}.")
+    refuse_other(kind, get_args(Kind), "observes")
     dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
     absent = tuple(name for name in joints.spare if name in dimensions and name not in table.columns)
     require(table, [name for name in dimensions if name not in absent], "of a joint")

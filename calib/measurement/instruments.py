@@ -11,6 +11,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
+from calib.foundations.words import refuse_other
 from calib.measurement.lens import CENTRE, FOCAL, NAMES, Lens
 
 CameraPlace = Literal["floor", "tip"]
@@ -89,8 +90,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
-        if self.camera_on not in get_args(CameraPlace):
-            raise JobError(f"camera: camera_on is {self.camera_on!r}; allowed are {', '.join(get_args(CameraPlace))}.")
+        refuse_other(self.camera_on, get_args(CameraPlace), "camera: camera_on")
         for name in NAMES:
             if (value := getattr(self, name)) is not None:
                 refuse_beyond(value, next(group for group in _GROUPS if name in group.split(", ")), f"camera: {name}")

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from html import escape
 from math import isnan
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,9 +11,11 @@ from calib.assessment.blame import Blame
 from calib.assessment.hand_eye import HandEye
 from calib.foundations import rigid
 from calib.foundations.units import MM, MRAD
-from calib.identification.optics_choice import OpticsChoice
 from calib.measurement.lens import RATIONAL
 from calib.presentation.report.document import Prose, Row, Section, Sheet
+
+if TYPE_CHECKING:
+    from calib.identification.optics_choice import OpticsChoice
 
 # The frame of OpenCV's camera: z forward, x to the right.
 _OPTICAL = "optical_frame"
@@ -26,7 +29,7 @@ def hand_eye_section(found: Sequence[HandEye]) -> Section | None:
     return Section("hand-eye", "Where the camera is", tuple(blocks))
 
 
-def optics_section(found: Sequence[OpticsChoice]) -> Section | None:
+def optics_section(found: "Sequence[OpticsChoice]") -> Section | None:
     """Return what was compared to choose how many numbers lens and board have; None where nothing was."""
     sheets = []
     for one in found:

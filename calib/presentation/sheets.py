@@ -3,10 +3,10 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib.assessment.choice import Choice
 from calib.assessment.metrics import Metrics
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.units import DISPLAY, MICRO, MM, MRAD, Display
@@ -14,6 +14,9 @@ from calib.identification.fit import Fit
 from calib.measurement.kinds import UNIT_OF, size
 from calib.presentation.report.document import Row, Sheet
 from calib.robot.terms import KINDS
+
+if TYPE_CHECKING:
+    from calib.assessment.choice import Choice
 
 # What is shown of a length in m, an angle in rad, a place in a picture, and coefficients of joint terms.
 SHOWN = {
@@ -80,7 +83,7 @@ def level_sheet(levels: Sequence[Level]) -> Sheet:
     )
 
 
-def choice_sheet(choice: Choice) -> Sheet:
+def choice_sheet(choice: "Choice") -> Sheet:
     """Return the joint terms that were chosen, in the order in which they entered, and the least held-out error."""
     start, steps = choice.steps[0].held_out.rms, choice.steps
     every = sum(map(len, choice.geometric.measurements))

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calib.assessment.blame import Blame
 from calib.assessment.checking import looks_wrong
 from calib.assessment.checks.of_arm import wrong_lens
-from calib.assessment.choice import Choice
 from calib.assessment.judged import Accepted, Check, JudgedSet, Use
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.outliers import Outliers, outliers
@@ -25,13 +25,16 @@ from calib.foundations.units import DISPLAY, MM
 from calib.foundations.version import __version__
 from calib.identification.fit import Fit
 from calib.identification.identify import at_clocks, residuals_of
-from calib.identification.optics_choice import OpticsChoice
 from calib.identification.total_differential import Trace
 from calib.machine.calibrated import CalibratedMachine, machine_of
 from calib.machine.in_urdf import fit_in_urdf, machine_in_urdf
 from calib.machine.residual_model import ResidualModel
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
+
+if TYPE_CHECKING:
+    from calib.assessment.choice import Choice
+    from calib.identification.optics_choice import OpticsChoice
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,11 +129,11 @@ class Calibration:
     in_urdf: InUrdf | None
     levels: tuple[LevelReport, ...] = ()
     trace: Trace | None = None
-    choice: Choice | None = None
+    choice: "Choice | None" = None
     origin: Origin = FROM_PYTHON
     checks: tuple[Check, ...] = ()
     shown: tuple[str, ...] = ()
-    optics: tuple[OpticsChoice, ...] = ()
+    optics: "tuple[OpticsChoice, ...]" = ()
     blame: Blame | None = None
 
     @property

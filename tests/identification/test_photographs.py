@@ -52,6 +52,28 @@ def test_homographies_alone_give_the_focal_length() -> None:
     assert bundle.first_lens(photographs(), GUESS).fx == pytest.approx(1200.0, rel=0.1)
 
 
+def test_photographs_of_few_and_of_many_marks_are_fitted_in_any_order() -> None:
+    some, rng = photographs(), np.random.default_rng(0)
+    cut = [Photograph(*(part[: 10 + k % 3] for part in one)) for k, one in enumerate(some)]
+    order = rng.permutation(len(cut)).tolist()
+    optics = bundle.Optics(GUESS, np.zeros(0))
+    both = (cut, [cut[k] for k in order])
+    found = [bundle.fit(those, FIVE, optics, bundle.poses_of(those, optics)[0]) for those in both]
+    np.testing.assert_allclose(found[0].optics.lens, found[1].optics.lens, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(found[0].poses[order], found[1].poses, atol=1e-8)
+    for k, residuals in zip(order, found[1].residuals, strict=True):
+        np.testing.assert_allclose(found[0].residuals[k], residuals, atol=1e-5)
+
+
+def test_a_search_that_goes_nowhere_says_so() -> None:
+    found = bundle.found_optics(photographs(), FIVE, GUESS)
+    assert found is not None and found.converged
+    rng = np.random.default_rng(2)
+    mixed = [one._replace(pixels=one.pixels[rng.permutation(24)]) for one in photographs()]
+    lost = bundle.found_optics(mixed, FIVE, GUESS)
+    assert lost is not None and not lost.converged
+
+
 def test_a_grossly_wrong_mark_hardly_moves_the_lens() -> None:
     some = photographs()
     some[3].pixels[5] += 80.0

@@ -81,6 +81,16 @@ def test_rows_that_err_alone_are_left_alone(seed: int) -> None:
     assert likeliest(number, plain(J, by_twist, r), np.zeros_like(r), Arrow.plain(np.zeros((3, 3)))) is None
 
 
+@pytest.mark.parametrize("times", [1.0, 1e9])
+def test_no_arm_comes_back_to_decimetres_only(times: float) -> None:
+    """Twists that large are of readings that are not those of the photographs; also of marks at the camera's plane."""
+    rng = np.random.default_rng(0)
+    number, by_twist, J = seen(rng)
+    r = at_solution(J, 300.0 * moved(rng, number, by_twist) + SIGMA * rng.normal(size=(len(number), 2)))
+    known, zero = Arrow.plain(np.zeros((3, 3))), np.zeros_like(r)
+    assert likeliest(number, plain(J, times * by_twist, r * times), zero, known) is None
+
+
 def test_photographs_of_few_marks_are_whitened_too_and_tell_nothing() -> None:
     rng = np.random.default_rng(0)
     number = np.array([0, 1, 1, 2, 2, 2])

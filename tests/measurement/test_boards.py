@@ -56,7 +56,7 @@ def test_marks_are_known_by_their_places() -> None:
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"shape": "round"}, "shape is 'round'; allowed are flat, quadratic, free"),
+        ({"shape": "round"}, "shape: 'round' is not one of flat, quadratic, free"),
         ({"shape": "free"}, "a free shape needs the places of six marks or more"),
         ({"scale_sigma": 0.5}, "square_sigma is 0.5; allowed is 0, or 1e-06 to 0.2"),
         ({"marks": np.random.default_rng(0).normal(size=(9, 3)), "shape": "quadratic"}, "not in a plane"),

@@ -122,7 +122,7 @@ def test_a_mark_in_the_camera_is_finite() -> None:
         ("free", ("f",), "'f' is not a number of a lens; they are fx, fy"),
         ("size", (0, 10), "size is 0 px; allowed is 16 to 100000 px"),
         ("sigma", -0.1, "sigma is -0.1 px; allowed is 0, or 0.0001 to 10000 px"),
-        ("camera_on", "wall", "camera_on is 'wall'; allowed are floor, tip"),
+        ("camera_on", "wall", "camera_on: 'wall' is not one of floor, tip"),
     ],
 )
 def test_impossible_cameras_are_refused(key: str, value: object, says: str) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 from calib.foundations.csv_text import text_of
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
+from calib.foundations.words import refuse_other
 from calib.measurement.formats.yaml_events import read_yaml
 from calib.measurement.lens import BENT, RATIONAL, Lens
 
@@ -47,8 +48,7 @@ def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
     if len(K) != 9:
         raise JobError(f"{path}: the camera matrix has {len(K)} numbers; it has 9.")
     model = found.get("distortion_model", "plumb_bob")
-    if model not in _MODELS:
-        raise JobError(f"{path}: distortion_model: {model!r} is not one of {', '.join(_MODELS)}.")
+    refuse_other(model, _MODELS, f"{path}: distortion_model")
     bent = _numbers(path, "the distortion", next((found[key] for key in _BENT if key in found), []))
     size = _size([found.get("image_width"), found.get("image_height")])
     names = (*BENT, *RATIONAL)

@@ -12,6 +12,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
+from calib.foundations.words import refuse_other
 from calib.measurement.scalars import Scalar
 from calib.measurement.streams.joints import JointStream
 
@@ -52,8 +53,7 @@ class Clock:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
-        if self.kind not in get_args(ClockFreedom):
-            raise JobError(f"clock: {self.kind!r} is not one of {', '.join(get_args(ClockFreedom))}.")
+        refuse_other(self.kind, get_args(ClockFreedom), "clock")
         if self.gap is not None:
             refuse_beyond(self.gap, "gap", "clock: gap")
         if self.of is not None and self.kind != "free":

@@ -4,12 +4,11 @@ A part that has nothing to say is None, or is left out by whoever lists them.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from calib.assessment.advice import told_briefly
-from calib.assessment.choice import Choice
 from calib.assessment.judged import Check, JudgedSet, Use
 from calib.assessment.metrics import Metrics, error_norms
 from calib.foundations.arrays import Array, IntArray
@@ -25,6 +24,9 @@ from calib.presentation.page_files import page_file
 from calib.presentation.report import charts
 from calib.presentation.report.document import Block, Picture, Prose, Row, Section, Sheet, Tile, Verdict
 from calib.presentation.sheets import Level as LevelFigures
+
+if TYPE_CHECKING:
+    from calib.assessment.choice import Choice
 
 _KEY = (("before", "before"), ("after", "after"))
 # Few dots are drawn large, in px.
@@ -161,7 +163,7 @@ def trace(followed: Trace) -> Section:
     return Section("trace", "Iterations", (Prose(tuple(str(followed).splitlines()), "code", brief=True),))
 
 
-def chosen(choice: Choice) -> Section:
+def chosen(choice: "Choice") -> Section:
     """Return which joint terms were chosen, and what held-out data said of them."""
     return Section("terms", "Joint terms", (sheets.choice_sheet(choice),))
 

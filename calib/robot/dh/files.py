@@ -25,7 +25,7 @@ from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
 from calib.foundations.ranges import OF_DIMENSION, parse_within
 from calib.foundations.units import NUMBER, UNITS, Dimension, Unit, unit_of
-from calib.foundations.words import shown
+from calib.foundations.words import refuse_other, shown
 from calib.robot.dh.table import NUMBERS, DhRow, DhTable, RowType, check_convention
 from calib.robot.urdf import MOST_JOINTS
 
@@ -171,8 +171,7 @@ def _row(line: _Line, units: dict[str, Unit | None], number: int) -> DhRow:
         raise RobotError(f"{at}: column 'joint': the cell is empty.")
     if has_formula(words["joint"]):
         raise RobotError(f"{at}: joint {shown(words['joint'])} has the name of a spreadsheet's formula; rename it.")
-    if words["type"] not in get_args(RowType):
-        raise RobotError(f"{at}: column 'type': {words['type']!r} is not one of {', '.join(get_args(RowType))}.")
+    refuse_other(words["type"], get_args(RowType), f"{at}: column 'type'", RobotError)
     try:
         return DhRow(words["joint"], cast(RowType, words["type"]), **values)
     except RobotError as e:

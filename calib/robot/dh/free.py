@@ -7,6 +7,7 @@ from calib.foundations.arguments import refuse_fields
 from calib.foundations.choices import Convention
 from calib.foundations.errors import JobError
 from calib.foundations.selection import Selection
+from calib.foundations.words import refuse_other
 from calib.robot.dh.frames import PARALLEL
 
 
@@ -28,7 +29,6 @@ class Free:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
-        if self.convention not in get_args(Convention):
-            raise JobError(f"dh_convention: {self.convention!r} is not one of {', '.join(get_args(Convention))}.")
+        refuse_other(self.convention, get_args(Convention), "dh_convention")
         if not 0.0 <= self.parallel <= 0.5:
             raise JobError(f"dh_parallel: {self.parallel!r} is not an angle between 0 and 0.5 rad.")

@@ -22,6 +22,7 @@ from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import OF_DIMENSION
+from calib.foundations.words import refuse_other
 
 RowType = Literal["revolute", "prismatic", "fixed"]
 NUMBERS = ("a", "d", "alpha", "theta", "beta")
@@ -43,8 +44,7 @@ class DhRow:
 
     def __post_init__(self) -> None:
         refuse_fields(self)
-        if self.type not in get_args(RowType):
-            raise RobotError(f"DH table: joint {self.joint!r} is {self.type!r}, not {', '.join(get_args(RowType))}.")
+        refuse_other(self.type, get_args(RowType), f"DH table: type of joint {self.joint!r}", RobotError)
         if not np.isfinite([getattr(self, number) for number in NUMBERS]).all():
             raise RobotError(f"DH table: joint {self.joint!r} has a number that is not finite.")
         for number in NUMBERS:
@@ -108,5 +108,4 @@ class DhTable:
 
 def check_convention(convention: str) -> None:
     """Raise RobotError unless ``convention`` is one of the two."""
-    if convention not in get_args(Convention):
-        raise RobotError(f"DH convention: {convention!r} is not one of {', '.join(get_args(Convention))}.")
+    refuse_other(convention, get_args(Convention), "DH convention", RobotError)
