@@ -24,7 +24,7 @@ from calib.foundations.units import DEG, INCH, MM
 from calib.identification.arrow import Split
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initial_frames
-from calib.identification.initialisation.problem import with_common_names
+from calib.identification.initialisation.problem import initial_problem, with_common_names
 from calib.identification.machine import values_at
 from calib.identification.parameters import Priors, scales
 from calib.identification.system import Problem, evaluate
@@ -108,7 +108,9 @@ def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple
     """
     with linear.one_thread():
         placed = [data for data in measurements if len(data) and data.position is not None and data.points is None]
-        sets = [data.at_readings() for data in placed]
+        # Without an instrument the readings alone can be wrong, and what stays in place shows that they are.
+        touched = [data for data in measurements if len(data) and data.position is None and data.camera is None]
+        sets = [data.at_readings() for data in placed or touched]
         setups = dict.fromkeys(setup for data in sets for setup in data.setups)
         return tuple(
             finding
@@ -122,18 +124,20 @@ def _signatures(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Findin
     if not filled:
         return ()
     sets = tuple(_spread_rows(data, filled) for data in with_common_names(model, filled))
-    unknowns = len(_ordinary(model).parameters(sets[0].tools))
+    unknowns = len(_problem(_ordinary(model), sets).parameters)
     if sum(data.sigma.size for data in sets) < _NUMBERS_PER_UNKNOWN * unknowns:
         return ()
     missed, reach = _miss(model, sets), model.robot.reach
-    if missed < _GOOD * reach:
+    # One number of a row, such as a length, shows a third of the square of an error in space.
+    shown = min(3.0, sum(data.sigma.size for data in sets) / sum(map(len, sets))) / 3.0
+    if missed < _GOOD * reach * float(np.sqrt(shown)):
         return ()
     every = tuple(range(len(sets)))
     found: list[_Trial] = []
     for scope in (every, *((i,) for i in every if len(every) > 1)):
         best, *others = _trials(model, sets, scope)
         # Readings that are made too small explain positions that hardly change: a robot that stands still does so too.
-        still = _still([best.mistake.mend(sets[i]) for i in scope])
+        still = _still([best.mistake.mend(sets[i]) for i in scope]) if _seen(sets) else np.inf
         if missed > _CLEARLY * best.counted and best.miss < min(_EXPLAINED * reach, still):
             return (_explained(model, sets, missed, best, others),)
         found.append(best)
@@ -171,10 +175,8 @@ def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int = _E
 
     Gauss-Newton from the best base and tool: priors hold the offsets back while much is unexplained, and limits always.
     """
-    ordinary = _ordinary(model)
-    parameters = ordinary.parameters(sets[0].tools)
-    frames = initial_frames(ordinary, sets)
-    problem = Problem(ordinary, parameters, frames, tuple(sets))
+    problem = _problem(_ordinary(model), sets)
+    parameters, frames, sets = problem.parameters, problem.reference, problem.measurements
     units = np.repeat([1.0, 1.0 / model.robot.reach], 3)
     sigmas = [np.broadcast_to(units[: data.sigma.shape[1]], data.sigma.shape) for data in sets]
     s = scales(parameters)
@@ -190,6 +192,18 @@ def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int = _E
         rows = np.concatenate([data / max(miss, _NEGLIGIBLE), priors])
         z = np.clip(z - np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=_NEGLIGIBLE)[0], -limit, limit)
     return least
+
+
+def _problem(model: ErrorModel, sets: Sequence[Measurements]) -> Problem:
+    """Return the problem of a model in which little is unknown; of what an instrument saw, without targets."""
+    if not _seen(sets):
+        return initial_problem(model.within(sets), sets)
+    return Problem(model, model.parameters(sets[0].tools), initial_frames(model, sets), tuple(sets))
+
+
+def _seen(sets: Sequence[Measurements]) -> bool:
+    """Return whether an instrument saw positions or poses; sets of both kinds never come together."""
+    return sets[0].position is not None
 
 
 def _still(sets: Sequence[Measurements]) -> float:
@@ -245,12 +259,14 @@ def _trials(model: ErrorModel, sets: Sequence[Measurements], scope: tuple[int, .
     chosen = [sets[i] for i in scope]
     # What one reading may have wrong is tried reading by reading, each time for the whole arm.
     readings = model.robot.readings if len(model.robot.readings) <= _MOST_TRIED else ()
-    table = (*_of_readings(readings), *_of_frames(model, chosen))
+    seen = _seen(sets)
+    table = (*_of_readings(readings, units=seen), *(_of_frames(model, chosen) if seen else ()))
     # A free base costs a search among all rotations, which few mistakes are worth: a linear fit screens them.
-    screen = _relaxed_miss if model.base == "pose" else _first_miss
+    # Of lengths the start shows no tool; one step does.
+    screen = (_relaxed_miss if model.base == "pose" else _first_miss) if seen else _second_miss
     screened = [screen(model, mended(mistake)) for mistake in table]
     promising = [table[i] for i in np.sort(np.argsort(screened, kind="stable")[:_PROMISING])]
-    mistakes = (*promising, *_not_in_screening(model, chosen))
+    mistakes = (*promising, *(_not_in_screening(model, chosen) if seen else ()))
     trials = [_Trial(mistake, scope, _miss(model, mended(mistake))) for mistake in mistakes]
     least = min(map(_counted, trials))
     # The same to rounding: the order of the table, the most typical first, decides.
@@ -265,6 +281,10 @@ def _relaxed_miss(model: ErrorModel, sets: Sequence[Measurements]) -> float:
 
 def _first_miss(model: ErrorModel, sets: Sequence[Measurements]) -> float:
     return _miss(model, sets, evaluations=1)
+
+
+def _second_miss(model: ErrorModel, sets: Sequence[Measurements]) -> float:
+    return _miss(model, sets, evaluations=2)
 
 
 # ---- sentences
@@ -320,7 +340,8 @@ def _mm(metres: float) -> str:
 # ---- the table of mistakes, the most typical first
 
 
-def _of_readings(readings: Sequence[Reading]) -> Iterator[Mistake]:
+def _of_readings(readings: Sequence[Reading], *, units: bool) -> Iterator[Mistake]:
+    """Yield what readings may have wrong; ``units``: also those by which a robot hardly moves and touches one place."""
     ones = np.eye(len(readings))
     for reading, one in zip(readings, ones, strict=True):
         yield Mistake("flipped-sign", f"{reading.name!r} is read with the wrong sign", _read(1.0 - 2.0 * one))
@@ -334,7 +355,7 @@ def _of_readings(readings: Sequence[Reading]) -> Iterator[Mistake]:
         for degrees in ("+90", "-90", "180") if reading.dimension == "angle" else ():
             says = f"{reading.name!r} is read from another zero and needs {degrees} deg"
             yield Mistake("shifted-zero", says, _read(offset=float(degrees) * DEG * one))
-    for dimension, factor, says in _READING_UNITS:
+    for dimension, factor, says in _READING_UNITS if units else ():
         its = np.array([reading.dimension == dimension for reading in readings])
         if its.any():
             yield Mistake("reading-unit", says, _read(np.where(its, factor, 1.0)))
@@ -367,8 +388,11 @@ def _not_in_screening(model: ErrorModel, sets: Sequence[Measurements]) -> Iterat
 
 def _read(factor: Array | float = 1.0, offset: Array | float = 0.0, swap: Array | None = None) -> Mend:
     def mend(data: Measurements) -> Measurements:
-        readings = data.readings if swap is None else data.readings @ swap
-        return replace(data, readings=read_only(readings * factor + offset))
+        def right(readings: Array) -> Array:
+            return read_only((readings if swap is None else readings @ swap) * factor + offset)
+
+        other = None if data.other is None else replace(data.other, readings=right(data.other.readings))
+        return replace(data, readings=right(data.readings), other=other)
 
     return mend
 

@@ -9,7 +9,6 @@ from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes, sha256, stamp
 from calib.identification.error_model import ErrorModel
 from calib.identification.losses import Loss
-from calib.identification.sanity import signatures
 from calib.job import refusals, tables
 from calib.job.read import Progress
 from calib.job.schema import Job, MeasurementsSection
@@ -106,7 +105,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
         findings = [finding for finding in findings if finding.code != "joint-at-rest"]
     refusals.refuse_findings(findings)
     progress("looking for typical mistakes")
-    findings += signatures(model, chosen)
+    findings += refusals.signatures_of(model, chosen, path)
     refusals.refuse_findings(findings)
     hashes = {
         **({path.name: sha256(read_bytes(path, JobError))} if written else {}),

@@ -8,6 +8,7 @@ import numpy as np
 from calib.foundations.errors import JobError, MeasurementError, naming, naming_rows
 from calib.identification.error_model import ErrorModel
 from calib.identification.observability import rank_findings
+from calib.identification.sanity import signatures
 from calib.identification.targets import shapes
 from calib.job.schema import Job
 from calib.job.tables import model_sigmas
@@ -167,6 +168,12 @@ def not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Findin
         for i, section in enumerate(job.measurements)
         if section.use == "validate" and section.hold_out is None and hashes[section.file] in fitted
     ]
+
+
+def signatures_of(model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> tuple[Finding, ...]:
+    """Return the typical mistake that the data show, if any; raises JobError where rows do not fit the robot."""
+    with naming(path, JobError):
+        return signatures(model, chosen)
 
 
 def findings_of_rank(model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> tuple[Finding, ...]:

@@ -16,7 +16,7 @@ from calib.identification import sanity
 from calib.identification.sanity import signatures
 from calib.measurement.checks import Finding
 from scripts.examples import ur10_leica_job as job
-from tests.support import machines
+from tests.support import machines, touching
 from tests.support.machines import Array, Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
@@ -141,6 +141,33 @@ def test_degrees_and_radians(arm: str, observes: str) -> None:
     lab = Lab(arm, observes)
     assert "degrees stand under [rad]" in lab.sentence(joints(JOINTS[arm], np.degrees))
     assert "radians stand under [deg]" in lab.sentence(joints(JOINTS[arm], np.radians))
+
+
+WITHOUT_INSTRUMENT: dict[str, Callable[[touching.Lab], calib.Measurements]] = {
+    "socket": lambda lab: lab.sockets(14),
+    "distance": lambda lab: lab.distances(40),
+    "pair_distance": lambda lab: lab.pairs(40),
+    "plane": lambda lab: lab.planes(14, tuple(touching.NORMALS)),
+    "sphere": lambda lab: lab.sphere(40),
+}
+
+
+@pytest.mark.parametrize("kind", WITHOUT_INSTRUMENT)
+def test_mistakes_are_named_without_an_instrument(kind: str) -> None:
+    lab = touching.lab(noise=3e-5)
+    model, data, names = machines.model(lab.robot), WITHOUT_INSTRUMENT[kind](lab), JOINTS["ur10"]
+
+    def found(factor: Array) -> tuple[Finding, ...]:
+        other = data.other and replace(data.other, readings=data.other.readings @ factor)
+        return signatures(model, [replace(data, readings=data.readings @ factor, other=other)])
+
+    assert found(np.eye(6)) == ()
+    for k in (1, 3, 5):
+        (finding,) = found(np.diag(1.0 - 2.0 * np.eye(6)[k]))
+        assert finding.severity == "error"
+        assert f"it looks as if {names[k]!r} is read with the wrong sign:" in finding.sentence
+    (finding,) = found(np.eye(6)[[0, 2, 1, 3, 4, 5]])
+    assert f"the columns {names[1]!r} and {names[2]!r} are swapped" in finding.sentence
 
 
 def test_joints_that_slide() -> None:
