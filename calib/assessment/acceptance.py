@@ -10,6 +10,7 @@ itself estimated with nu degrees of freedom, T / n follows F(n, nu). Where bases
 found anew, in every set-up of the rows by itself, each takes six of them.
 """
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -30,11 +31,14 @@ from calib.machine.tool_uncertainty import common_errors
 from calib.machine.uncertainty import NoiseLevel, Uncertainty
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.measurements import Measurements
+from calib.robot.robot import TipModel
 
 # A machine that has not changed is failed once in so many tests.
 SIGNIFICANCE = 0.01
 # Places that differ from one, or from a line, by less than a millionth of the reach.
 _NEARLY_IN_LINE = 1e-6
+# Entries of twists of length one that differ by rounding alone.
+_SAME_AXIS = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +82,8 @@ class Verification:
 
     ``as_calibrated`` with the base where it was; ``base_refitted`` with the base found anew in every set-up of them,
     None where rows are too few; ``base_moved``: by how much, in m (at the base's origin) and rad, where it moved most.
-    ``limit`` in m of every position error, or None. ``refit``: which of the two decides.
+    ``or_zero_of``: the reading of a joint with another zero that would look the same, or None. ``limit`` in m of every
+    position error, or None. ``refit``: which of the two decides.
     """
 
     __repr__ = brief
@@ -86,6 +91,7 @@ class Verification:
     as_calibrated: Judgement
     base_refitted: Judgement | None
     base_moved: tuple[float, float] | None
+    or_zero_of: str | None
     limit: float | None
     refit: bool
 
@@ -114,6 +120,7 @@ class Verification:
             "as_calibrated": self.as_calibrated.contents(),
             "with_base_refitted": None if self.base_refitted is None else self.base_refitted.contents(),
             "base_moved": self.base_moved,
+            "or_zero_of": self.or_zero_of,
         }
 
 
@@ -146,7 +153,7 @@ def verify(
     sigma = _sigma(machine.known_uncertainty, data)
     data.tips(machine.robot, machine.deviations)  # refuses rows whose loops do not close
     as_calibrated = _judged(machine, data, sigma, base=False)
-    refitted, moved, shown = None, None, True
+    refitted, moved, alike, shown = None, None, None, True
     places = [data.setup == k for k in np.unique(data.setup)]
     fewest = min(int(np.count_nonzero(own)) for own in places)
     enough = fewest >= 3 and data.sigma.size > 6 * len(places)
@@ -154,6 +161,7 @@ def verify(
         found = _realigned(machine, data)
         refitted = _judged(found, data, sigma, base=True)
         moved = max(_motion(base, found.bases[name]) for name, base in machine.bases.items())
+        alike = _zero_alike(machine, found, data, sigma)
     elif refit and not shown:
         raise MeasurementError(
             f"{data.where}: all rows are at one place or in line, which do not show where the base is; it takes three "
@@ -163,7 +171,7 @@ def verify(
         few = next(data.setups[data.setup[own][0]] for own in places if np.count_nonzero(own) == fewest)
         of_it = f" at set-up {few!r}" if len(places) > 1 else ""
         raise MeasurementError(f"{data.where}: {fewest} rows{of_it} are too few to find the base anew; it takes three.")
-    return Verification(as_calibrated, refitted, moved, limit, refit)
+    return Verification(as_calibrated, refitted, moved, alike, limit, refit)
 
 
 def _of_this_machine(machine: CalibratedMachine, data: Measurements) -> Measurements:
@@ -212,16 +220,50 @@ def _motion(before: Array, after: Array) -> tuple[float, float]:
     return float(np.linalg.norm(change[:3, 3])), float(np.linalg.norm(rigid.log3(change[:3, :3])))
 
 
-def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, *, base: bool) -> Judgement:
-    r = machine.residuals(data)
+def _zero_alike(machine: CalibratedMachine, found: CalibratedMachine, data: Measurements, sigma: Array) -> str | None:
+    """Return the reading that, read from another zero, moves the arm as all bases found anew; None without one."""
+    model = TipModel(machine.robot, machine.deviations)
+    tips, by_reading = model.driven(data.readings, data.conditions)
+    # In the axes of the base a joint that nothing carries moves the tip about the same axis wherever it is.
+    twists = rigid.adjoint(tips) @ by_reading
+    twists /= np.maximum(np.linalg.norm(twists, axis=1, keepdims=True), np.finfo(float).tiny)
+    whitened, freedom = _whitening(found, data, sigma), machine.known_uncertainty.degrees_of_freedom
+    motion = _base_motion(found, data) / sigma[:, :, None]
+    moves = []
+    for k in np.unique(data.setup):
+        name, own = data.setups[k], (data.setup == k)[:, None, None]
+        change = rigid.inverse(machine.bases[name]) @ found.bases[name]
+        w = rigid.log3(change[:3, :3])
+        moves.append(
+            (whitened(np.where(own, motion, 0.0).reshape(-1, 6)), [*rigid.left_jacobian_inverse(w) @ change[:3, 3], *w])
+        )
+    for j, reading in enumerate(machine.robot.readings):
+        twist = twists[0, :, j]
+        if np.allclose(twists[:, :, j], twist, rtol=0.0, atol=_SAME_AXIS) and all(
+            _explains(B @ twist, B @ move, freedom) for B, move in moves
+        ):
+            return reading.name
+    return None
+
+
+def _explains(a: Array, b: Array, freedom: float) -> bool:
+    """Return whether a multiple of a (n,) explains b (n,), both whitened and of six numbers."""
+    rest = b - a * float(a @ b) / max(float(a @ a), np.finfo(float).tiny)
+    return bool(exceeded(float(rest @ rest), 5, freedom) >= SIGNIFICANCE)
+
+
+def _whitening(machine: CalibratedMachine, data: Measurements, sigma: Array) -> Callable[[Array], Array]:
+    """Return what whitens numbers (n,), or columns (n, k), of rows over sigma by what is common to all of them."""
     with one_thread():
         F = common_errors(machine, data) / sigma[:, :, None]
-        U, s, _ = svd(F.reshape(r.size, -1), full_matrices=False)
+        U, s, _ = svd(F.reshape(sigma.size, -1), full_matrices=False)
+    # By the root of (I + F F^T)^-1, also where F is so large that the sum would lose the I.
+    return lambda x: np.asarray(x - (U * (1.0 - 1.0 / np.hypot(1.0, s))) @ (U.T @ x))
 
-        def whitened(x: Array) -> Array:
-            # By the root of (I + F F^T)^-1, also where F is so large that the sum would lose the I.
-            return np.asarray(x - (U * (1.0 - 1.0 / np.hypot(1.0, s))) @ (U.T @ x))
 
+def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, *, base: bool) -> Judgement:
+    r, whitened = machine.residuals(data), _whitening(machine, data, sigma)
+    with one_thread():
         w, n = whitened((r / sigma).ravel()), r.size
         if base:
             motion = _base_motion(machine, data) / sigma[:, :, None]

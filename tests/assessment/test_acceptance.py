@@ -363,11 +363,11 @@ def test_wrong_units_are_no_arm_that_has_changed(case: Path, tmp_path: Path, wro
     assert why in said.err
 
 
-def shifted(folder: Path, by: float) -> Path:
-    path = folder / f"shifted_{by}.csv"
+def shifted(folder: Path, by: float, title: str = "x") -> Path:
+    path = folder / f"shifted_{title}_{by}.csv"
     lines = (folder / "validation.csv").read_text(encoding="utf-8").splitlines()
     header = next(k for k, line in enumerate(lines) if not line.startswith("#"))
-    x = [name.split("[")[0].strip() for name in lines[header].split(",")].index("x")
+    x = [name.split("[")[0].strip() for name in lines[header].split(",")].index(title)
     for k in range(header + 1, len(lines)):
         cells = lines[k].split(",")
         cells[x] = repr(float(cells[x]) + by)
@@ -383,6 +383,17 @@ def test_verify_says_that_the_base_has_moved(case: Path) -> None:
     assert "does not explain the errors" in text
     assert "the arm is as calibrated, but stands elsewhere." in text
     assert run("verify", case / "out", shifted(case, 0.5), "--refit-base", "-q").code == 0
+
+
+def test_verify_says_that_a_zero_of_the_first_joint_looks_like_a_base_that_has_moved(case: Path) -> None:
+    text = " ".join(run("verify", case / "out", shifted(case, 0.02, "joint_1")).out.split())
+    assert (
+        "the arm is as calibrated, but stands elsewhere, or 'joint_1' has another zero, which looks the same." in text
+    )
+    found = json.loads(run("verify", case / "out", shifted(case, 0.02, "joint_1"), "--json").out)
+    assert found["or_zero_of"] == "joint_1"
+    other = json.loads(run("verify", case / "out", shifted(case, 0.02, "joint_2"), "--json").out)
+    assert other["or_zero_of"] is None
 
 
 def test_compare_of_a_folder_with_itself(case: Path) -> None:
