@@ -1,7 +1,6 @@
-"""Photographs that do not belong to their readings or to their board: said in bounded time, and no cause is blamed."""
+"""Photographs that do not belong to their readings or to their board: said, and no cause is blamed."""
 
 import re
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,8 +18,6 @@ from tests.support.cameras import BOARD, TIP, UR5, Array, scene
 from tests.support.cases import write_table
 
 PHOTOGRAPHS, MARKS = 15, len(BOARD)
-# The promise of SECURITY.md, in s of processor time.
-MOST = 10.0
 FREE = 'lens = "free"\nsize = [1280, 1024]\n'
 GIVEN = (
     'lens = "given"\nfx = "1210 px"\nfy = "1190 px"\ncx = "655 px"\ncy = "508 px"\n'
@@ -93,9 +90,8 @@ CASES = [(wrong, lens) for wrong in WRONG for lens in (FREE, GIVEN) if (wrong, l
 
 
 @pytest.mark.parametrize(("wrong", "lens"), CASES, ids=[f"{wrong}, {lens[8:12]}" for wrong, lens in CASES])
-def test_what_does_not_belong_together_is_said_in_time(tmp_path: Path, wrong: str, lens: str) -> None:
+def test_what_does_not_belong_together_is_said(tmp_path: Path, wrong: str, lens: str) -> None:
     change, camera_on = WRONG[wrong]
-    begun = time.process_time()
     try:
         found = calibrated(tmp_path, change(columns()), lens, camera_on)
     except CalibError as e:
@@ -103,7 +99,6 @@ def test_what_does_not_belong_together_is_said_in_time(tmp_path: Path, wrong: st
     else:
         assert not found.trusted
         assert found.blame is None or not found.blame.told or _corners(found.blame) or wrong == SMALLER
-    assert time.process_time() - begun < MOST
 
 
 def _corners(blame: Blame) -> bool:
