@@ -67,6 +67,10 @@ def arm(source: str, tip: str | None, observes: Observed, roots: tuple[Path, ...
         if tip is not None and tip != arm.robot.tip:
             robot, model = robot.with_tip(tip), replace(model, robot=model.robot.with_tip(tip))
         return PlannedArm(robot, model, (*arm.mesh_roots, *roots), columns_alike(arm.job.measurements))
+    if Path(source).is_dir():
+        raise JobError(
+            f"{source}: is a folder; poses are planned for a URDF or a job, of results for calibrated.urdf in it."
+        )
     robot = load_robot(source, tip)
     model = error_model(robot, offsets="all", placements="all", tool="pose" if observes == "pose" else "position")
     own = (examples_folder().parents[1],) if source.startswith(EXAMPLE) else (Path(source).parent,)

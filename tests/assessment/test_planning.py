@@ -222,6 +222,13 @@ def test_wrong_wishes_are_one_sentence(
     assert not Path("poses.csv").exists()
 
 
+def test_results_are_no_arm_to_plan_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("out").mkdir()
+    why = "is a folder; poses are planned for a URDF or a job, of results for calibrated.urdf in it."
+    assert run("plan", "out", "-o", "poses.csv") == (1, "", f"Error: out: {why}\n")
+
+
 @pytest.mark.parametrize("count", ["0", "-3", "1000001", "9" * 5000])
 def test_candidates_that_are_no_number_of_poses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: str) -> None:
     monkeypatch.chdir(tmp_path)
