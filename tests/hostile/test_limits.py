@@ -98,7 +98,7 @@ def test_mistakes_of_single_readings_are_tried_of_arms_of_some_joints(
     }
     data = read_measurements(table, robot, sigma=1e-5)
     asked: list[int] = []
-    monkeypatch.setattr(sanity, "_of_readings", lambda readings: asked.append(len(readings)) or iter(()))
+    monkeypatch.setattr(sanity, "_of_readings", lambda readings, **_: asked.append(len(readings)) or iter(()))
     sanity.signatures(error_model(robot, offsets="all"), [data])
     assert set(asked) == {tried}
 
