@@ -82,8 +82,9 @@ class Verification:
 
     ``as_calibrated`` with the base where it was; ``base_refitted`` with the base found anew in every set-up of them,
     None where rows are too few; ``base_moved``: by how much, in m (at the base's origin) and rad, where it moved most.
-    ``or_zero_of``: the reading of a joint with another zero that would look the same, or None. ``limit`` in m of every
-    position error, or None. ``refit``: which of the two decides.
+    ``or_zero_of``: where a base that moved explains what the machine as calibrated does not, the reading of a joint
+    with another zero that would look the same, or None. ``limit`` in m of every position error, or None. ``refit``:
+    which of the two decides.
     """
 
     __repr__ = brief
@@ -161,7 +162,8 @@ def verify(
         found = _realigned(machine, data)
         refitted = _judged(found, data, sigma, base=True)
         moved = max(_motion(base, found.bases[name]) for name, base in machine.bases.items())
-        alike = _zero_alike(machine, found, data, sigma)
+        if refitted.test.passed and not as_calibrated.test.passed:
+            alike = _zero_alike(machine, found, data, sigma)
     elif refit and not shown:
         raise MeasurementError(
             f"{data.where}: all rows are at one place or in line, which do not show where the base is; it takes three "
@@ -222,27 +224,23 @@ def _motion(before: Array, after: Array) -> tuple[float, float]:
 
 def _zero_alike(machine: CalibratedMachine, found: CalibratedMachine, data: Measurements, sigma: Array) -> str | None:
     """Return the reading that, read from another zero, moves the arm as all bases found anew; None without one."""
-    model = TipModel(machine.robot, machine.deviations)
-    tips, by_reading = model.driven(data.readings, data.conditions)
+    tips, by_reading = TipModel(machine.robot, machine.deviations).driven(data.readings, data.conditions)
     # In the axes of the base a joint that nothing carries moves the tip about the same axis wherever it is.
     twists = rigid.adjoint(tips) @ by_reading
     twists /= np.maximum(np.linalg.norm(twists, axis=1, keepdims=True), np.finfo(float).tiny)
-    whitened, freedom = _whitening(found, data, sigma), machine.known_uncertainty.degrees_of_freedom
-    motion = _base_motion(found, data) / sigma[:, :, None]
+    freedom = machine.known_uncertainty.degrees_of_freedom
     moves = []
-    for k in np.unique(data.setup):
-        name, own = data.setups[k], (data.setup == k)[:, None, None]
-        change = rigid.inverse(machine.bases[name]) @ found.bases[name]
-        w = rigid.log3(change[:3, :3])
-        moves.append(
-            (whitened(np.where(own, motion, 0.0).reshape(-1, 6)), [*rigid.left_jacobian_inverse(w) @ change[:3, 3], *w])
-        )
-    for j, reading in enumerate(machine.robot.readings):
-        twist = twists[0, :, j]
-        if np.allclose(twists[:, :, j], twist, rtol=0.0, atol=_SAME_AXIS) and all(
-            _explains(B @ twist, B @ move, freedom) for B, move in moves
-        ):
-            return reading.name
+    with one_thread():
+        whitened = _whitening(found, data, sigma)
+        for k, columns in _base_columns(found, data, sigma).items():
+            change = rigid.inverse(machine.bases[data.setups[k]]) @ found.bases[data.setups[k]]
+            w = rigid.log3(change[:3, :3])
+            moves.append((whitened(columns), np.concatenate([rigid.left_jacobian_inverse(w) @ change[:3, 3], w])))
+        for j, reading in enumerate(machine.robot.readings):
+            twist = twists[0, :, j]
+            same_axis = np.allclose(twists[:, :, j], twist, rtol=0.0, atol=_SAME_AXIS)
+            if same_axis and all(_explains(B @ twist, B @ move, freedom) for B, move in moves):
+                return reading.name
     return None
 
 
@@ -254,21 +252,19 @@ def _explains(a: Array, b: Array, freedom: float) -> bool:
 
 def _whitening(machine: CalibratedMachine, data: Measurements, sigma: Array) -> Callable[[Array], Array]:
     """Return what whitens numbers (n,), or columns (n, k), of rows over sigma by what is common to all of them."""
-    with one_thread():
-        F = common_errors(machine, data) / sigma[:, :, None]
-        U, s, _ = svd(F.reshape(sigma.size, -1), full_matrices=False)
+    F = common_errors(machine, data) / sigma[:, :, None]
+    U, s, _ = svd(F.reshape(sigma.size, -1), full_matrices=False)
     # By the root of (I + F F^T)^-1, also where F is so large that the sum would lose the I.
     return lambda x: np.asarray(x - (U * (1.0 - 1.0 / np.hypot(1.0, s))) @ (U.T @ x))
 
 
 def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, *, base: bool) -> Judgement:
-    r, whitened = machine.residuals(data), _whitening(machine, data, sigma)
+    r = machine.residuals(data)
     with one_thread():
+        whitened = _whitening(machine, data, sigma)
         w, n = whitened((r / sigma).ravel()), r.size
         if base:
-            motion = _base_motion(machine, data) / sigma[:, :, None]
-            each = [np.where((data.setup == k)[:, None, None], motion, 0.0) for k in np.unique(data.setup)]
-            B = whitened(np.concatenate(each, axis=2).reshape(n, -1))
+            B = whitened(np.concatenate([*_base_columns(machine, data, sigma).values()], axis=1))
             w, n = w - B @ np.linalg.lstsq(B, w)[0], n - B.shape[1]
         T = float(w @ w)
     return Judgement(
@@ -284,6 +280,14 @@ def _shows_base(machine: CalibratedMachine, data: Measurements) -> bool:
     B = B / np.repeat([1.0, machine.robot.reach], 3)
     values = np.linalg.svd(triangle(B), compute_uv=False)
     return bool(values[-1] > _NEARLY_IN_LINE * values[0])
+
+
+def _base_columns(machine: CalibratedMachine, data: Measurements, sigma: Array) -> dict[int, Array]:
+    """Return how residuals over sigma follow the base of every set-up (n, 6), which other rows do not follow."""
+    motion = _base_motion(machine, data) / sigma[:, :, None]
+    return {
+        int(k): np.where((data.setup == k)[:, None, None], motion, 0.0).reshape(-1, 6) for k in np.unique(data.setup)
+    }
 
 
 def _base_motion(machine: CalibratedMachine, data: Measurements) -> Array:
