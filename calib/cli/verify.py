@@ -47,10 +47,9 @@ def verify(
         from calib.foundations.errors import MeasurementError
         from calib.foundations.ranges import RANGES, parse_within
         from calib.job.columns import columns_of_results
-        from calib.job.refusals import refuse_findings
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import outside_identified
-        from calib.measurement.checks import table_findings
+        from calib.measurement.checks import refuse_findings, table_findings
         from calib.measurement.read import read_measurements
         from calib.measurement.table import Columns, HeaderError
         from calib.presentation.acceptance_tables import verification_lines, verification_sheet

@@ -13,7 +13,7 @@ from calib.job import refusals, tables
 from calib.job.read import Progress
 from calib.job.schema import Job, MeasurementsSection
 from calib.job.stated import load_arm, meshes_not_found
-from calib.measurement.checks import Finding, copied_tables, table_findings
+from calib.measurement.checks import Finding, copied_tables, refuse_findings, table_findings
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Robot
 
@@ -103,10 +103,10 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     if len(chosen) > 1:
         # A joint that rests in one table may move in another; what is never seen, the rank says.
         findings = [finding for finding in findings if finding.code != "joint-at-rest"]
-    refusals.refuse_findings(findings)
+    refuse_findings(findings)
     progress("looking for typical mistakes")
     findings += refusals.signatures_of(model, chosen, path)
-    refusals.refuse_findings(findings)
+    refuse_findings(findings)
     hashes = {
         **({path.name: sha256(read_bytes(path, JobError))} if written else {}),
         job.robot.urdf: sha256(robot.urdf.source),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.foundations.errors import JobError, MeasurementError, naming, naming_rows
+from calib.foundations.errors import JobError, naming, naming_rows
 from calib.identification.error_model import ErrorModel
 from calib.identification.observability import rank_findings
 from calib.identification.sanity import signatures
@@ -53,13 +53,6 @@ def refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
         for end in data.ends:
             with naming_rows(data.where, data.lines):
                 robot.joint_positions(end.readings)
-
-
-def refuse_findings(findings: Sequence[Finding]) -> None:
-    """Raise MeasurementError for the first finding that is an error."""
-    for finding in findings:
-        if finding.severity == "error":
-            raise MeasurementError(finding.sentence)
 
 
 def refuse_unknown_names(job: Job, sets: Sequence[Measurements], path: Path) -> None:

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from calib.foundations.arrays import Array
+from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DEG, MM
 from calib.measurement.measurements import Measurements
 from calib.measurement.streams.stream import OFFSET
@@ -57,6 +58,13 @@ class Finding:
     def warning(cls, code: str, sentence: str) -> "Finding":
         """Return a finding that is worth a look, and no error."""
         return cls("warning", code, sentence)
+
+
+def refuse_findings(findings: Sequence[Finding]) -> None:
+    """Raise MeasurementError for the first finding that is an error."""
+    for finding in findings:
+        if finding.severity == "error":
+            raise MeasurementError(finding.sentence)
 
 
 def table_findings(measurements: Measurements, readings: Sequence[Reading], reach: float) -> tuple[Finding, ...]:
