@@ -83,7 +83,7 @@ class Offer(NamedTuple):
     def of(cls, known: Known, harmonics: IntArray, products: Products, chosen: IntArray, most: int) -> "Offer | None":
         """Return what is offered beside ``chosen`` columns, at most so many with these; None where that is nothing.
 
-        AllHarmonics of readings of which rows tell too little to teach a width are left out.
+        Harmonics of readings of which rows tell too little to teach a width are left out.
         """
         every = np.arange(len(harmonics))
         order = _order(harmonics, every, chosen, most)

@@ -66,7 +66,7 @@ def test_rows_of_one_machine_are_left_alone() -> None:
         rng = np.random.default_rng(seed)
         found = told_apart(fitted(rng, 60, np.zeros((60, 6))))
         assert found.times < 1.3
-        # AllHarmonics of gears are in all rows.
+        # Harmonics of gears are in all rows.
         off = 2e-3 * np.sin(rng.uniform(1.0, 6.0, 6) * rng.uniform(-2.0, 2.0, (60, 6)))
         assert told_apart(fitted(rng, 60, off)).times < 1.5
 
