@@ -23,6 +23,7 @@ from calib.assessment.hand_eye import lens_of
 from calib.assessment.judged import JudgedSet
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import IdentificationError, MeasurementError
+from calib.foundations.linear import spread
 from calib.identification.fit import Fit
 from calib.identification.identify import identify_alike, residuals_of
 from calib.identification.initialisation.lenses import legible, photographs_of
@@ -132,7 +133,8 @@ def blame(fit: Fit, sets: Sequence[JudgedSet]) -> Blame | None:
     whole, left, corners = _left(fit, judged, ()), _all_free(fit, judged, free), _corners(fit, judged)
     if whole is None or left is None or corners is None:
         return None
-    if np.sqrt(min(left, _square([one.after for one in judged]))) > LEFT * _spread(judged):
+    pixels = np.concatenate([one.data.value[:, :2] for one in judged])
+    if np.sqrt(min(left, _square([one.after for one in judged]))) > LEFT * spread(pixels):
         free = []
     several = len(free) > 1
     alone = {name: _left(fit, judged, (name,)) if several else left for name in free}
@@ -254,12 +256,6 @@ def _pair(data: Measurements) -> tuple[str, str]:
 
 def _square(residuals: Sequence[Array]) -> float:
     return float(np.mean(np.concatenate([np.sum(r * r, axis=1) for r in residuals])))
-
-
-def _spread(judged: Sequence[JudgedSet]) -> float:
-    """Return the rms distance of pixels from their mean, in px."""
-    pixels = np.concatenate([one.data.value[:, :2] for one in judged])
-    return float(np.sqrt(_square([pixels - pixels.mean(axis=0)])))
 
 
 def _gain(without: float | None, now: float | None) -> float | None:

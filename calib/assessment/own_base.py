@@ -14,6 +14,7 @@ from calib.assessment.judged import JudgedSet
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.chance import exceeded
+from calib.foundations.linear import spread
 from calib.foundations.units import MM
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initial_frames
@@ -106,7 +107,7 @@ def own_bases(tables: Iterable[tuple[str, Array | None, Array]], reach: float) -
 
 def _wide(x: Array, reach: float) -> bool:
     """Return whether points (N, 3) are far apart: a rigid motion of theirs is then no error of the arm."""
-    return bool(np.sqrt(np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1))) > _FAR_APART * reach)
+    return spread(x) > _FAR_APART * reach
 
 
 def _moved(x: Array, y: Array) -> Array:

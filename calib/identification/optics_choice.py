@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.foundations.arrays import Array
+from calib.foundations.linear import spread
 from calib.identification.initialisation.lenses import LEAST_PHOTOGRAPHS, legible, photographs_of
-from calib.identification.photographs import Bundle, clearly_better, found_optics, held_out, rms
+from calib.identification.photographs import Bundle, clearly_better, found_optics, held_out
 from calib.measurement.boards import Board, BoardShape
 from calib.measurement.instruments import Camera
 from calib.measurement.lens import BENT, RATIONAL
@@ -96,7 +97,7 @@ class _Fitted:
 
     @property
     def lost(self) -> bool:
-        """Whether its search has found no end, or leaves nearly all of the ``spread``, the rms of all pixels."""
+        """Whether its search has found no end, or leaves nearly all of the ``spread`` of all pixels, in px."""
         return not self.bundle.converged or self.bundle.rms > _NO_BOARD * self.spread
 
     def better_than(self, other: "_Fitted") -> bool:
@@ -117,5 +118,4 @@ def _fit(sets: Sequence[Measurements], camera: Camera, board: Board) -> _Fitted 
     if bundle is None:
         return None
     squares = held_out(some, camera.free, bundle) if len(some) >= _LEAST else None
-    pixels = np.concatenate([one.pixels for one in some])
-    return _Fitted(camera, board, bundle, squares, rms([pixels - pixels.mean(axis=0)]))
+    return _Fitted(camera, board, bundle, squares, spread(np.concatenate([one.pixels for one in some])))

@@ -272,7 +272,7 @@ def _step(
         held = np.zeros((len(own), 6, p + 7))
         held[:, range(6), range(6)] = np.sqrt(damping) * (np.linalg.norm(own[:, :, :6], axis=1) + _TINY)
         # The first six rows are all that has the pose in it.
-        turned = linear.triangles(np.concatenate([own, held], axis=1))
+        turned = linear.triangle(np.concatenate([own, held], axis=1))
         of_poses[alike.photographs] = turned[:, :6]
         rows.append(turned[:, 6:, 6:].reshape(-1, p + 1))
     J = linear.triangle(np.concatenate(rows))

@@ -23,7 +23,7 @@ from scipy.special import chdtri
 
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
-from calib.foundations.linear import svd, triangle, triangles
+from calib.foundations.linear import svd, triangle
 from calib.identification.arrow import Arrow, Collected, Heads, Inverse, Part, Split, gathered
 
 # That much likelier by chance: not once in as many fits as anybody makes.
@@ -283,7 +283,7 @@ class _Criterion(NamedTuple):
         R, rows = self.heads.R, self.heads.rows
         # The triangle of V, without forming it: of marks at a camera's own plane it would not be positive in numbers.
         eye = np.broadcast_to(np.eye(6), R.shape)
-        upper = triangles(np.concatenate([eye, np.swapaxes(R * widths, 1, 2)], axis=1))
+        upper = triangle(np.concatenate([eye, np.swapaxes(R * widths, 1, 2)], axis=1))
         lower = np.swapaxes(upper, 1, 2)
         both = np.linalg.solve(lower, np.concatenate([R, rows], axis=2))
         moved, whitened = both[:, :, :6], both[:, :, 6:]

@@ -12,6 +12,7 @@ from calib.assessment.judged import NOTHING, Check, JudgedSet
 from calib.assessment.validation import ONE_POSE, both_ends
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound
+from calib.foundations.linear import spread
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors
@@ -55,8 +56,8 @@ def _left(fit: Fit, judged: Sequence[JudgedSet], residuals: Sequence[Array]) -> 
     for one, r in zip(judged, residuals, strict=True):
         for quantity in QUANTITIES[one.data.kind]:
             rest = float(np.sqrt(np.mean(np.sum(r[:, quantity.columns] ** 2, axis=1))))
-            spread = _spread(fit, [*fit.measurements, *(each.data for each in judged)], one.data, quantity.unit)
-            share = rest / spread if spread > 0.0 else 0.0
+            whole = _spread(fit, [*fit.measurements, *(each.data for each in judged)], one.data, quantity.unit)
+            share = rest / whole if whole > 0.0 else 0.0
             if share > worst:
                 worst, what = share, quantity.name
     return worst, what
@@ -67,15 +68,11 @@ def _spread(fit: Fit, sets: Sequence[Measurements], data: Measurements, unit: st
     if unit == "rad":
         return 1.0
     if unit == "px":
-        return _rms(data.value[:, :2])
+        return spread(data.value[:, :2])
     if data.position is not None:
-        return max(_rms(data.position), ONE_PLACE * fit.model.robot.reach)
+        return max(spread(data.position), ONE_PLACE * fit.model.robot.reach)
     ends = [_points(fit, data.tools, end) for data in sets for end in data.ends]
-    return max(_rms(np.concatenate(ends)), ONE_PLACE * fit.model.robot.reach)
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1))))
+    return max(spread(np.concatenate(ends)), ONE_PLACE * fit.model.robot.reach)
 
 
 def _points(fit: Fit, tools: Sequence[str], end: End) -> Array:
