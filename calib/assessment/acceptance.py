@@ -82,8 +82,8 @@ class Verification:
 
     ``as_calibrated`` with the base where it was; ``base_refitted`` with the base found anew in every set-up of them,
     None where rows are too few; ``base_moved``: by how much, in m (at the base's origin) and rad, where it moved most.
-    ``or_zero_of``: where a base that moved explains what the machine as calibrated does not, the reading of a joint
-    with another zero that would look the same, or None. ``limit`` in m of every position error, or None. ``refit``:
+    ``or_offset_of``: where a base that moved explains what the machine as calibrated does not, the reading of a joint
+    whose offset, changed, would look the same, or None. ``limit`` in m of every position error, or None. ``refit``:
     which of the two decides.
     """
 
@@ -92,7 +92,7 @@ class Verification:
     as_calibrated: Judgement
     base_refitted: Judgement | None
     base_moved: tuple[float, float] | None
-    or_zero_of: str | None
+    or_offset_of: str | None
     limit: float | None
     refit: bool
 
@@ -121,7 +121,7 @@ class Verification:
             "as_calibrated": self.as_calibrated.contents(),
             "with_base_refitted": None if self.base_refitted is None else self.base_refitted.contents(),
             "base_moved": self.base_moved,
-            "or_zero_of": self.or_zero_of,
+            "or_offset_of": self.or_offset_of,
         }
 
 
@@ -163,7 +163,7 @@ def verify(
         refitted = _judged(found, data, sigma, base=True)
         moved = max(_motion(base, found.bases[name]) for name, base in machine.bases.items())
         if refitted.test.passed and not as_calibrated.test.passed:
-            alike = _zero_alike(machine, found, data, sigma)
+            alike = _offset_alike(machine, found, data, sigma)
     elif refit and not shown:
         raise MeasurementError(
             f"{data.where}: all rows are at one place or in line, which do not show where the base is; it takes three "
@@ -222,8 +222,8 @@ def _motion(before: Array, after: Array) -> tuple[float, float]:
     return float(np.linalg.norm(change[:3, 3])), float(np.linalg.norm(rigid.log3(change[:3, :3])))
 
 
-def _zero_alike(machine: CalibratedMachine, found: CalibratedMachine, data: Measurements, sigma: Array) -> str | None:
-    """Return the reading that, read from another zero, moves the arm as all bases found anew; None without one."""
+def _offset_alike(machine: CalibratedMachine, found: CalibratedMachine, data: Measurements, sigma: Array) -> str | None:
+    """Return the reading whose offset, changed, moves the arm as all bases found anew; None without one."""
     tips, by_reading = TipModel(machine.robot, machine.deviations).driven(data.readings, data.conditions)
     # In the axes of the base a joint that nothing carries moves the tip about the same axis wherever it is.
     twists = rigid.adjoint(tips) @ by_reading

@@ -41,7 +41,11 @@ def verification_lines(found: Verification) -> list[str | Text]:
         shift, turn = found.base_moved
         by = f"{shift / MM:.3f} mm and {turn / DEG:.4f} deg"
         if anew.test.passed:
-            alike = f", or {found.or_zero_of!r} has another zero, which looks the same" if found.or_zero_of else ""
+            alike = (
+                f", or the offset of {found.or_offset_of!r} has changed, which looks the same"
+                if found.or_offset_of
+                else ""
+            )
             lines.append(f"A base moved by {by} explains them: the arm is as calibrated, but stands elsewhere{alike}.")
         else:
             left = figures_in("m", anew.metrics["position"].rms)[0]

@@ -385,15 +385,16 @@ def test_verify_says_that_the_base_has_moved(case: Path) -> None:
     assert run("verify", case / "out", shifted(case, 0.5), "--refit-base", "-q").code == 0
 
 
-def test_verify_says_that_a_zero_of_the_first_joint_looks_like_a_base_that_has_moved(case: Path) -> None:
+def test_verify_says_that_an_offset_of_the_first_joint_looks_like_a_base_that_has_moved(case: Path) -> None:
     text = " ".join(run("verify", case / "out", shifted(case, 0.02, "joint_1")).out.split())
     assert (
-        "the arm is as calibrated, but stands elsewhere, or 'joint_1' has another zero, which looks the same." in text
+        "the arm is as calibrated, but stands elsewhere, or the offset of 'joint_1' has changed, which looks the same."
+        in text
     )
     found = json.loads(run("verify", case / "out", shifted(case, 0.02, "joint_1"), "--json").out)
-    assert found["or_zero_of"] == "joint_1"
+    assert found["or_offset_of"] == "joint_1"
     other = json.loads(run("verify", case / "out", shifted(case, 0.02, "joint_2"), "--json").out)
-    assert other["or_zero_of"] is None
+    assert other["or_offset_of"] is None
 
 
 def test_compare_of_a_folder_with_itself(case: Path) -> None:
