@@ -99,6 +99,23 @@ def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
     return found
 
 
+def residual_errors(machine: CalibratedMachine, data: Measurements) -> Array:
+    """Return a factor (N, 3 or 6, r) of the covariance of what a residual model gets wrong at the rows of ``data``.
+
+    It is part of the budget of :func:`tool_uncertainty`, and comes on top of :func:`common_errors`. Without columns
+    where there is no residual model. Raises MeasurementError for a set-up that was not identified.
+    """
+    model, level = machine.residual_model, machine.known_uncertainty.position
+    if model is None or level is None:
+        return np.zeros((*data.sigma.shape, 0))
+    own = model.own_errors(data.readings, level.total)
+    tips = machine.robot.tips(data.readings, machine.deviations, data.conditions)
+    axes = axes_of(model.frame, machine.state.frames.bases[data.setup], tips)
+    found = np.zeros((*data.sigma.shape, 3 * own.shape[1]))
+    found[:, :3] = (axes[:, :, :, None] * own[:, None, None]).reshape(len(data), 3, -1)
+    return found
+
+
 class _View(NamedTuple):
     """Whose errors are told, and which of them: as :func:`tool_uncertainty` has it."""
 
