@@ -16,7 +16,7 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
-from calib.foundations.linear import one_thread
+from calib.foundations.linear import one_thread, triangle
 from calib.foundations.units import DISPLAY_OF
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.grid import axes_of
@@ -109,6 +109,9 @@ def residual_errors(machine: CalibratedMachine, data: Measurements) -> Array:
     if model is None or level is None:
         return np.zeros((*data.sigma.shape, 0))
     own = model.own_errors(data.readings, level.total)
+    if own.shape[1] > len(own):
+        # Cells of many joints have many corners.
+        own = triangle(own.T).T
     tips = machine.robot.tips(data.readings, machine.deviations, data.conditions)
     axes = axes_of(model.frame, machine.state.frames.bases[data.setup], tips)
     found = np.zeros((*data.sigma.shape, 3 * own.shape[1]))
