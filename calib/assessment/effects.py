@@ -11,7 +11,7 @@ blocks of neighbours, each longer than residuals remember (W. K. Newey, K. D. We
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import NamedTuple
 
@@ -111,13 +111,41 @@ def memory(parts: Sequence[Array]) -> float:
 
 
 def gains(parts: Sequence[Stretch], C: Array) -> dict[str, Effect]:
-    """Return for every joint by which share more than it says it would move."""
-    usable = [part for part in parts if part.data.other is None]
-    names = usable[0].joints if usable else ()
-    return {
-        name: effect(usable, [part.by_joint[:, :, j] * part.values[:, None, j] for part in usable], C)
-        for j, name in enumerate(names)
-    }
+    """Return for every joint by which share more than it says it would move; its zero may be elsewhere too."""
+    found = {}
+    for j, name in enumerate(parts[0].joints if parts else ()):
+        within, own = _besides(parts, [part.by_joint[:, :, j : j + 1] for part in parts], C)
+        usable = [part for part in within if part.data.other is None]
+        found[name] = effect(usable, [part.by_joint[:, :, j] * part.values[:, None, j] for part in usable], own)
+    return found
+
+
+def _besides(parts: Sequence[Stretch], motions: Sequence[Array], C: Array) -> tuple[tuple[Stretch, ...], Array]:
+    """Return parts and covariance as of a fit that had sought ``motions`` (n, d, k) of all rows of every part too.
+
+    Where the fit has parameters for them, nothing changes. Where it has none, what is elsewhere in all rows would look
+    like a step that leaves out but a few of them.
+    """
+    both = list(zip(motions, parts, strict=True))
+    A = np.sum([np.tensordot(Z, Z, ((0, 1), (0, 1))) for Z in motions], axis=0)
+    S = np.sum([np.tensordot(Z, part.J, ((0, 1), (0, 1))) for Z, part in both], axis=0)
+    g = np.sum([np.einsum("ndk,nd->k", Z, part.r) for Z, part in both], axis=0)
+    values, V = np.linalg.eigh(A - S @ C @ S.T)
+    kept = values > _TAKEN * np.trace(A) / len(A)
+    if not kept.any():
+        return tuple(parts), C
+    values, V = values[kept], V[:, kept]
+    sizes = -(V.T @ g) / values
+    found = []
+    for Z, part in both:
+        # What the parameters leave of it: so the covariance has no terms of both.
+        left = (Z - part.J @ (C @ S.T)) @ V
+        r, J = part.r + left @ sizes, np.concatenate([part.J, left], axis=2)
+        found.append(replace(part, r=r, J=J, used=part.used + float(np.sum(left**2 / values))))
+    p = len(C)
+    covariance = np.zeros((p + len(values), p + len(values)))
+    covariance[:p, :p], covariance[p:, p:] = C, np.diag(1.0 / values)
+    return tuple(found), covariance
 
 
 def delay(parts: Sequence[Stretch], C: Array) -> tuple[Effect, float]:
@@ -325,7 +353,14 @@ def _chance(found: Score, rest: Array, part: Stretch) -> float:
 
 def steps(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     """Return the likeliest change of base, tool and every joint in the course of every set, the largest size first."""
-    found = [step for part in parts for step in _steps_of(part, C)]
+    things = [("base", [part.by_base for part in parts]), ("tool", [part.by_tool[:, :, :3] for part in parts])]
+    joints = parts[0].joints if parts else ()
+    things += [(name, [part.by_joint[:, :, j : j + 1] for part in parts]) for j, name in enumerate(joints)]
+    found = []
+    for what, motions in things if parts else ():
+        within, own = _besides(parts, motions, C)
+        told = (_step_of(what, part, Z, own, len(things)) for part, Z in zip(within, motions, strict=True))
+        found += [step for step in told if step is not None]
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 
 
@@ -353,29 +388,23 @@ def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 
 
-def _steps_of(part: Stretch, C: Array) -> list[Step]:
+def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step | None:
     n, d = part.r.shape
     if n < 4 * _LEAST_ROWS:
-        return []
-    things = [("base", part.by_base), ("tool", part.by_tool[:, :, :3])]
-    things += [(name, part.by_joint[:, :, j : j + 1]) for j, name in enumerate(part.joints)]
+        return None
     places = np.unique(np.linspace(_LEAST_ROWS, n - _LEAST_ROWS, _MOST_SPLITS).astype(np.intp))
-    weighted = np.concatenate([part.J, part.r[:, :, None]], axis=2)
     J = part.J.reshape(n * d, -1)
-    found = []
-    for what, Z in things:
-        sums = np.cumsum(np.swapaxes(Z, 1, 2) @ np.concatenate([weighted, Z], axis=2), axis=0)[places - 1]
-        S, g, A = sums[:, :, : len(C)], sums[:, :, len(C)], sums[:, :, len(C) + 1 :]
-        scores = score_test(A, S, g, C)
-        best = int(np.argmax(scores.gain))
-        score, place = Score(*(of[best] for of in scores)), int(places[best])
-        if score.gain <= 0.0:
-            continue
-        D = np.concatenate([Z[:place], np.zeros_like(Z[place:])]) @ score.sizes
-        rest = part.r + D - (J @ (C @ (J.T @ D.ravel()))).reshape(n, d)
-        size = float(np.sqrt(float(score.gain) / _scatter(rest, part) / (place * (n - place) / n)))
-        chance = min(1.0, _chance(score, rest, part) * len(places) * len(things))
-        # The rows were thinned, maybe: their numbers are those of the whole set.
-        line = int(part.data.lines[int(part.row[place - 1])])
-        found.append(Step(what, part.data.where, line, size, chance))
-    return found
+    turned = np.swapaxes(Z, 1, 2)
+    S, g, A = (np.cumsum(turned @ of, axis=0)[places - 1] for of in (part.J, part.r[:, :, None], Z))
+    scores = score_test(A, S, g[:, :, 0], C)
+    best = int(np.argmax(scores.gain))
+    score, place = Score(*(of[best] for of in scores)), int(places[best])
+    if score.gain <= 0.0:
+        return None
+    D = np.concatenate([Z[:place], np.zeros_like(Z[place:])]) @ score.sizes
+    rest = part.r + D - (J @ (C @ (J.T @ D.ravel()))).reshape(n, d)
+    size = float(np.sqrt(float(score.gain) / _scatter(rest, part) / (place * (n - place) / n)))
+    chance = min(1.0, _chance(score, rest, part) * len(places) * things)
+    # The rows were thinned, maybe: their numbers are those of the whole set.
+    line = int(part.data.lines[int(part.row[place - 1])])
+    return Step(what, part.data.where, line, size, chance)

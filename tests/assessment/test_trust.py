@@ -47,9 +47,9 @@ class Cell:
         data = self.machine.measure(self.robot, q, rng=self.rng, sigma=sigma)
         return data if read is None else replace(data, readings=read)
 
-    def effects(self, data: calib.Measurements) -> tuple[tuple, Array]:
+    def effects(self, data: calib.Measurements, model: calib.ErrorModel | None = None) -> tuple[tuple, Array]:
         """The rows of a fit to them, and its covariance."""
-        residue = Residue.of(calib.identify(self.model, data), {})
+        residue = Residue.of(calib.identify(model or self.model, data), {})
         return stretches(residue), residue.C
 
 
@@ -254,6 +254,25 @@ def test_a_small_jump_in_thirty_rows_is_found() -> None:
         assert (worst.what, worst.line) == ("base", data.lines[12])
         assert worst.chance < of_rows.RARELY
         assert worst.size > of_rows.SIZE
+
+
+def test_what_is_elsewhere_in_all_rows_has_not_jumped(cell: Cell) -> None:
+    # Zeros that the fit does not seek are off throughout: of a step that leaves out three rows that is nearly all.
+    few = calib.error_model(cell.robot)
+    rng = np.random.default_rng(7)
+    off = rng.normal(0.0, 5e-3, 6)
+    q = rng.uniform(0.3, 1.8, (60, 6))
+    data = cell.measured(q, q - off)
+    parts, C = cell.effects(data, few)
+    assert all(step.size < of_rows.SIZE or step.chance > of_rows.RARELY for step in steps(parts, C))
+    assert all(abs(gain.value) < of_rows.GEAR for gain in gains(parts, C).values() if abs(gain.t) > of_rows.SURE)
+    # A jump in the middle of them still shows.
+    later = np.where(np.arange(60) >= 25, 0.05, 0.0)[:, None] * np.eye(6)[2]
+    parts, C = cell.effects(replace(data, readings=data.readings + later), few)
+    worst = steps(parts, C)[0]
+    assert (worst.what, worst.line) == (cell.robot.readings[2].name, data.lines[24])
+    assert worst.size > of_rows.SIZE
+    assert worst.chance < of_rows.RARELY
 
 
 def test_sound_rows_show_no_effect(cell: Cell) -> None:
