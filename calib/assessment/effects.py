@@ -140,7 +140,8 @@ def _besides(parts: Sequence[Stretch], motions: Sequence[Array], C: Array) -> tu
     for Z, part in both:
         # What the parameters leave of it: so the covariance has no terms of both.
         left = (Z - part.J @ (C @ S.T)) @ V
-        found.append(replace(part, r=part.r + left @ sizes, J=np.concatenate([part.J, left], axis=2)))
+        r, J = part.r + left @ sizes, np.concatenate([part.J, left], axis=2)
+        found.append(replace(part, r=r, J=J, used=part.used + float(np.sum(left**2 / values))))
     p = len(C)
     covariance = np.zeros((p + len(values), p + len(values)))
     covariance[:p, :p], covariance[p:, p:] = C, np.diag(1.0 / values)
@@ -244,7 +245,7 @@ def wandering(parts: Sequence[Stretch], C: Array) -> tuple[float, float]:
         S = D.T @ J
         found = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
         shift = ((D - J @ (C @ S.T)) @ found.sizes).reshape(part.r.shape)
-        chance = _chance(found, part.r + shift, part, C)
+        chance = _chance(found, part.r + shift, part)
         size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) / per_metre([part])
         if size > best[0]:
             best = (size, chance)
@@ -318,11 +319,10 @@ def strains(parts: Sequence[Stretch], C: Array) -> tuple[Strain, ...]:
         S = D.T @ J
         score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
         rest = part.r + ((D - J @ (C @ S.T)) @ score.sizes).reshape(part.r.shape)
-        free = max(rest.size - part.used, 0.1 * rest.size, 1.0)
-        variance = max(float(np.sum(rest**2)) / free, part.least)
+        variance = _scatter(rest, part)
         lengths = np.linalg.eigvalsh(np.einsum("sij,s->ij", _STRAINS, score.sizes))
         size = float(np.sqrt(float(score.gain) / variance / len(rows)))
-        found.append(Strain(part.data.where, float(np.ptp(lengths)), size, _chance(score, rest, part, C)))
+        found.append(Strain(part.data.where, float(np.ptp(lengths)), size, _chance(score, rest, part)))
     return tuple(sorted(found, key=lambda one: (-one.share, one.file)))
 
 
@@ -332,18 +332,23 @@ def per_metre(parts: Sequence[Stretch]) -> float:
     return max(float(np.sqrt(squares / sum(len(part.r) for part in parts))), 1e-12)
 
 
-def _chance(found: Score, rest: Array, part: Stretch, C: Array) -> float:
-    """Return how probable a gain is, against what remains (n, d), of rows that remember each other."""
-    freedom = max(rest.size - len(C), 0.1 * rest.size, 1.0)
-    variance = max(float(np.sum(rest**2)) / freedom, part.least)
-    return _by_chance(found, variance, freedom, rest)
+def _scatter(rest: Array, part: Stretch, taken: int = 0) -> float:
+    """Return the variance of what remains (n, d), of which the parameters, and so many directions, take up some."""
+    return max(float(np.sum(rest**2)) / max(rest.size - part.used - taken, 1.0), part.least)
 
 
-def _by_chance(found: Score, variance: float, freedom: float, r: Array) -> float:
-    """Return how probable a gain is where residuals (n, d) remember each other, by a variance of such a freedom."""
-    inflation = 1.0 + 2.0 * memory([r])
-    square = float(found.gain) / variance / inflation
-    return float(exceeded(square, max(int(found.numbers), 1), max(freedom / inflation, 1.0)))
+def _chance(found: Score, rest: Array, part: Stretch) -> float:
+    """Return how probable a gain is, against what remains (n, d), of rows that remember each other: by F.
+
+    Of what remains, parameters take up some numbers and the directions some more; 1 where they leave none.
+    """
+    numbers = int(found.numbers)
+    freedom = rest.size - part.used - numbers
+    if numbers < 1 or freedom < 1.0:
+        return 1.0
+    inflation = 1.0 + 2.0 * memory([rest])
+    square = float(found.gain) / _scatter(rest, part, numbers) / inflation
+    return float(exceeded(square, numbers, max(freedom / inflation, 1.0)))
 
 
 def steps(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
@@ -375,11 +380,10 @@ def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
             rest[rows] += D @ score.sizes
             # Judged by what remains in this set: its noise may have been estimated with the change in it.
             own = rest[rows].reshape(part.r.shape)
-            free = max(own.size - part.used - D.shape[1], 0.1 * own.size)
-            variance = max(float(np.sum(own**2)) / free, part.least)
             others = sum(len(one.r) for one in parts) - n
+            variance = _scatter(own, part, int(score.numbers))
             size = float(np.sqrt(float(score.gain) / variance / (n * others / (n + others))))
-            chance = _by_chance(score, variance, free, own)
+            chance = _chance(score, own, part)
             found.append(Step(what, part.data.where, 0, size, min(1.0, 2 * len(parts) * chance)))
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 
@@ -389,7 +393,7 @@ def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step 
     if n < 4 * _LEAST_ROWS:
         return None
     places = np.unique(np.linspace(_LEAST_ROWS, n - _LEAST_ROWS, _MOST_SPLITS).astype(np.intp))
-    J, free = part.J.reshape(n * d, -1), max(n * d - part.used, 0.1 * n * d)
+    J = part.J.reshape(n * d, -1)
     turned = np.swapaxes(Z, 1, 2)
     S, g, A = (np.cumsum(turned @ of, axis=0)[places - 1] for of in (part.J, part.r[:, :, None], Z))
     scores = score_test(A, S, g[:, :, 0], C)
@@ -399,9 +403,8 @@ def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step 
         return None
     D = np.concatenate([Z[:place], np.zeros_like(Z[place:])]) @ score.sizes
     rest = part.r + D - (J @ (C @ (J.T @ D.ravel()))).reshape(n, d)
-    variance = max(float(np.sum(rest**2)) / free, part.least)
-    size = float(np.sqrt(float(score.gain) / variance / (place * (n - place) / n)))
-    chance = min(1.0, _chance(score, rest, part, C) * len(places) * things)
+    size = float(np.sqrt(float(score.gain) / _scatter(rest, part) / (place * (n - place) / n)))
+    chance = min(1.0, _chance(score, rest, part) * len(places) * things)
     # The rows were thinned, maybe: their numbers are those of the whole set.
     line = int(part.data.lines[int(part.row[place - 1])])
     return Step(what, part.data.where, line, size, chance)

@@ -233,6 +233,29 @@ def test_a_jump_of_the_base_is_found_where_it_is(cell: Cell) -> None:
     assert worst.chance < 1e-20
 
 
+@pytest.mark.parametrize(("rows", "left"), [(12, 3.0), (13, 6.0), (14, 9.0)])
+def test_few_rows_that_are_sound_show_no_jump_and_no_strain(rows: int, left: float) -> None:
+    """Where few numbers are left over, directions take up many of them: by F with as many as really remain."""
+    for seed in range(4):
+        cell = Cell(seed)
+        cell.model = calib.error_model(cell.robot, offsets="all", placements="all", terms={"gain": "all"})
+        parts, C = cell.effects(cell.measured(cell.draw(rows)))
+        assert parts[0].r.size - parts[0].used == pytest.approx(left, abs=1e-3)
+        assert all(step.chance > 0.01 for step in steps(parts, C))
+        assert all(strain.chance > 0.01 for strain in strains(parts, C))
+
+
+def test_a_small_jump_in_thirty_rows_is_found() -> None:
+    for seed in range(4):
+        cell = Cell(seed)
+        data = cell.measured(cell.draw(30))
+        moved = data.position + np.where(np.arange(30) >= 13, 3e-4, 0.0)[:, None]
+        worst = min(steps(*cell.effects(replace(data, position=moved))), key=lambda step: step.chance)
+        assert (worst.what, worst.line) == ("base", data.lines[12])
+        assert worst.chance < of_rows.RARELY
+        assert worst.size > of_rows.SIZE
+
+
 def test_what_is_elsewhere_in_all_rows_has_not_jumped(cell: Cell) -> None:
     # Zeros that the fit does not seek are off throughout: of a step that leaves out three rows that is nearly all.
     few = calib.error_model(cell.robot)
