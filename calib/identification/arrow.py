@@ -147,7 +147,10 @@ class Collected:
             own = rows[of]
             own[of < 0] = 0.0
             both = np.concatenate([self.heads.rows[these], own.reshape(len(these), -1, rows.shape[2])], axis=1)
-            turn(both, self._a)
+            if both.shape[1] > both.shape[2]:
+                both = linear.triangle(both)
+            else:
+                turn(both, self._a)
             self.heads.rows[these] = both[:, : self._a]
             left.append(both[:, self._a :, self._a :])
         return left

@@ -23,6 +23,7 @@ from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Layout, Machine, States
 from calib.identification.observations import observe
+from calib.identification.observations.pixels import Photographed, of_photographs, photographed
 from calib.identification.observations.seen import Linearised, Moved, Seen
 from calib.identification.parameters import Parameter, scales
 from calib.identification.relations import Relation, relate
@@ -277,32 +278,30 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array, given: Split |
 
 
 def _folded(
-    problem: Problem, i: int, sigma: Array, left: Array, rows: slice, number: IntArray, seen: Linearised
-) -> Linearised:
+    problem: Problem, i: int, sigma: Array, left: Array, rows: slice, number: IntArray, seen: Photographed
+) -> tuple[Array, Array, dict[str, Array]]:
     """Return rows of set i, whitened by ``sigma`` (N, d), as so few numbers of each photograph as say the same.
 
     All marks of a photograph follow one motion of the camera to the board, and the scalars: of their rows, turned by
-    an orthogonal matrix, only as many see anything. ``number`` (n,): the photograph of each. Into ``left`` (N, d) go
-    residuals, as :class:`Evaluation` has them.
+    an orthogonal matrix, only as many see anything. ``number`` (n,): the photograph of each. Residuals (m, k), and
+    derivatives by the camera (m, k, 6) and by scalars (m, k) each are returned. Into ``left`` (N, d) go residuals, as
+    :class:`Evaluation` has them.
     """
-    (tool,), s = seen.tool, sigma[rows, :, None]
-    assert tool.shift is not None and tool.turn is not None and seen.target is not None, "boards and cameras are frames"
-    scalars = np.stack([np.zeros_like(seen.residual), *seen.scalars.values()], axis=2)[:, :, 1:]
-    by_tool = (part.transpose(2, 0, 1) for part in (tool.shift, tool.turn))
-    columns = [*by_tool, scalars, seen.residual[:, :, None], seen.target]
+    s, count = sigma[rows, :, None], len(seen.scalars)
+    columns = [
+        seen.by_camera,
+        *(by_scalar[:, :, None] for by_scalar in seen.scalars.values()),
+        seen.residual[:, :, None],
+    ]
     whitened = problem.whitened(i, rows, np.concatenate(columns, axis=2) / s)
-    k = 7 + scalars.shape[2]
-    left[rows] = whitened[:, :, k - 1] * s[:, :, 0] if problem.together else seen.residual
-    # The board's motion is one of the camera: rows beyond those that this one and the scalars are seen in are zeros.
-    found = np.zeros((int(number.max()) + 1, k, k + 6))
+    left[rows] = whitened[:, :, -1] * s[:, :, 0] if problem.together else seen.residual
+    found = np.zeros((int(number.max()) + 1, 7 + count, 7 + count))
     for those, of in alike(number):
         own = whitened[of]
         own[of < 0] = 0.0
-        turned = linear.triangle(own.reshape(len(those), -1, k + 6))[:, :k]
+        turned = linear.triangle(own.reshape(len(those), -1, 7 + count))
         found[those, : turned.shape[1]] = turned
-    shift, turn = (found[:, :, part].transpose(1, 2, 0) for part in (slice(3), slice(3, 6)))
-    by_scalar = {role: found[:, :, 6 + n] for n, role in enumerate(seen.scalars)}
-    return Linearised(found[:, :, k - 1], (Follow(shift, turn),), target=found[:, :, k:], scalars=by_scalar)
+    return found[:, :, -1], found[:, :, :6], {role: found[:, :, 6 + k] for k, role in enumerate(seen.scalars)}
 
 
 def without_rows(problem: Problem, sigmas: Sequence[Array], x: Array) -> tuple[Array, Array]:
@@ -497,9 +496,12 @@ def _observe(
     """
     targets = frames.targets[data.target[rows] if data.kind in WITH_TARGET else slice(0)]
     ends = [rigid.product(base, T) for T in (held, others) if T is not None]
-    scalars = {role: float(frames.scalars[k]) for role, k in data.uses.items() if role not in SHIFTS}
     other = ends[1] if others is not None else frames.targets[:0]
-    return observe(data.kind, Seen(data, rows, ends[0], other, targets, scalars)), tuple(ends)
+    return observe(data.kind, Seen(data, rows, ends[0], other, targets, _scalars(data, frames))), tuple(ends)
+
+
+def _scalars(data: Measurements, frames: Frames) -> dict[str, float]:
+    return {role: float(frames.scalars[k]) for role, k in data.uses.items() if role not in SHIFTS}
 
 
 def _held(carried: Regressor, tools: Array, tool: IntArray, points: Array | None, rows: slice) -> Array:
@@ -602,6 +604,10 @@ class Selection:
         self.of_scalars = followed(layout.scalars, layout.size)
 
 
+# Of some rows, the photograph of each and what was seen: numbers of photographs, as few as say the same.
+_Folding = Callable[[slice, IntArray, Photographed], tuple[Array, Array, dict[str, Array]]]
+
+
 class Rates:
     """How frames follow the parameters at a machine, for ``units`` (p,) of each: the same for all sets.
 
@@ -639,9 +645,7 @@ class Rates:
         found = np.unique([] if (whose := self.whose(data)) is None else whose).astype(np.intp)
         return np.asarray(found[found >= 0])
 
-    def photographs(
-        self, data: Measurements, number: IntArray, folded: Callable[[slice, IntArray, Linearised], Linearised]
-    ) -> Iterator[Block]:
+    def photographs(self, data: Measurements, number: IntArray, folded: _Folding) -> Iterator[Block]:
         """Yield the photographs of one set as :meth:`blocks` does rows, what is seen in each ``folded`` into a few.
 
         ``number`` (N,): the photograph of every row. Where the robot stood is computed once for each.
@@ -662,8 +666,11 @@ class Rates:
                 group = np.array(group)
                 group[on] = len(frames.bases)
             held = _held(motion.tip, frames.tools, tool, None, rows)
-            seen, ends = _observe(data, rows, frames, base if base.ndim == 2 else base[own], held[own], None)
-            observed = folded(rows, own, seen)
+            tools, targets = rigid.product(base, held), frames.targets[target]
+            seen = Seen(data, rows, tools[own], targets[:0], targets[own], _scalars(data, frames))
+            observed = of_photographs(
+                seen._replace(tools=tools, targets=targets), *folded(rows, own, photographed(seen))
+            )
             in_base = [follow.seen_from(base[..., :3, :3]) for follow in observed.tool]
             J = self._through_robot(data.tip, in_base, motion, held, tool, group)
             for link, on, seat in seats:
@@ -671,7 +678,7 @@ class Rates:
                 J[on] += self._through_robot(link, back, seat, held[on], None, group[on])
             self._complete(J, data, observed, target)
             by_own, block = (None, None) if whose is None else (J[:, :, c:], whose[at])
-            yield Block(rows, observed, J[:, :, :c], by_own, block, (Moved(observed.tool, ends[0][first]),), ())
+            yield Block(rows, observed, J[:, :, :c], by_own, block, (Moved(observed.tool, tools),), ())
 
     def _complete(self, J: Array, data: Measurements, observed: Linearised, target: IntArray) -> None:
         """Add to derivatives (n, d, c + a) what comes through targets (n,) and scalars."""

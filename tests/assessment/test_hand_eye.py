@@ -12,7 +12,8 @@ import calib
 from calib.assessment.blame import blame
 from calib.assessment.hand_eye import HandEye, hand_eyes, marks_and_pixels
 from calib.assessment.judged import JudgedSet
-from calib.identification.identify import residuals_of
+from calib.identification import identify as identification
+from calib.identification.identify import identify_alike, residuals_of
 from calib.measurement.boards import Board, shape_modes
 from calib.measurement.lens import NAMES
 from calib.measurement.optics import seen_by
@@ -190,6 +191,25 @@ def test_the_planted_cause_is_named(cause: str) -> None:
     assert [row.strong for row in section.blocks[1].rows].count(True) == (cause != "corners")
     shares = {one.name: one.tool for one in found.causes}
     assert max(shares.values()) <= found.tool
+
+
+@pytest.mark.parametrize("cause", ["lens", "arm"])
+def test_frames_that_a_fit_has_found_are_not_sought_anew(cause: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor is a number taken with them: a lens and a print that are held stay as they were given."""
+    fit, sets = planted(cause)
+    bare = [
+        seen_by(data, replace(data.camera, free=()), Board(marks=BOARD, scale_sigma=0.0)) for data in fit.measurements
+    ]
+    free = ["tool.*", "*.offset"]
+    cold = identify_alike(fit, bare, free)
+    monkeypatch.setattr(identification, "_placed", None)
+    warm = identify_alike(fit, bare, free, placed="fitted")
+    np.testing.assert_array_equal(warm.machine.frames.scalars, cold.machine.frames.scalars)
+    np.testing.assert_array_equal(warm.nominal.frames.tools, fit.nominal.frames.tools)
+    np.testing.assert_allclose(warm.machine.frames.tools, cold.machine.frames.tools, atol=1e-7)
+    np.testing.assert_allclose(warm.machine.deviations.offsets, cold.machine.deviations.offsets, atol=1e-7)
+    np.testing.assert_allclose(warm.residuals[0], cold.residuals[0], atol=1e-3)
+    assert blame(fit, sets) is not None
 
 
 def test_a_lens_that_nobody_gave_is_no_cause_and_yet_leaves_the_tool_in_doubt() -> None:
