@@ -39,6 +39,8 @@ from calib.robot.robot import Deviations, Nominals, Robot, TipModel, TipMotion
 BLOCK = 3072
 # Photographs with fewer marks, on average, are evaluated mark by mark.
 _FEW_MARKS = 3
+# Photographs take so much less memory than their rows.
+_FOLDED = 4
 
 
 class Component(NamedTuple):
@@ -410,7 +412,7 @@ def _blocks(data: Measurements, number: IntArray | None = None) -> Iterator[slic
 
     ``number`` (N,): the photograph of each row, where it is known.
     """
-    size, start = BLOCK // data.sigma.shape[1], 0
+    size, start = (BLOCK if number is None else _FOLDED * BLOCK) // data.sigma.shape[1], 0
     parted = data.kind == "pixels" and len(data) > size
     cuts = _between(photograph_numbers(data) if number is None else number) if parted else None
     while start < len(data):
@@ -667,10 +669,8 @@ class Rates:
                 group[on] = len(frames.bases)
             held = _held(motion.tip, frames.tools, tool, None, rows)
             tools, targets = rigid.product(base, held), frames.targets[target]
-            seen = Seen(data, rows, tools[own], targets[:0], targets[own], _scalars(data, frames))
-            observed = of_photographs(
-                seen._replace(tools=tools, targets=targets), *folded(rows, own, photographed(seen))
-            )
+            seen = Seen(data, rows, tools, targets[:0], targets, _scalars(data, frames))
+            observed = of_photographs(seen, *folded(rows, own, photographed(seen, own)))
             in_base = [follow.seen_from(base[..., :3, :3]) for follow in observed.tool]
             J = self._through_robot(data.tip, in_base, motion, held, tool, group)
             for link, on, seat in seats:

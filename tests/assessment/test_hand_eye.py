@@ -1,6 +1,7 @@
 """Hand-eye in words of others, and which cause is blamed, for cameras and boards of a known truth."""
 
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.assessment import blame as blaming
 from calib.assessment.blame import blame
 from calib.assessment.hand_eye import HandEye, hand_eyes, marks_and_pixels
 from calib.assessment.judged import JudgedSet
@@ -191,6 +193,34 @@ def test_the_planted_cause_is_named(cause: str) -> None:
     assert [row.strong for row in section.blocks[1].rows].count(True) == (cause != "corners")
     shares = {one.name: one.tool for one in found.causes}
     assert max(shares.values()) <= found.tool
+
+
+@pytest.mark.parametrize("cause", ["scale", "arm"])
+def test_of_very_many_photographs_some_tell_the_cause(cause: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    fit, sets = planted(cause)
+    rows: list[int] = []
+
+    def seen(fit: calib.Fit, own: Sequence[calib.Measurements], *args: object, **options: object) -> calib.Fit:
+        rows.append(sum(map(len, own)))
+        return identify_alike(fit, own, *args, **options)
+
+    monkeypatch.setattr(blaming, "identify_alike", seen)
+    monkeypatch.setattr(blaming, "_ENOUGH", 10)
+    found = blame(fit, sets)
+    assert found is not None
+    assert found.named == cause
+    assert set(rows) == {9 * len(BOARD)}  # every second one of 18
+
+
+def test_a_lens_of_other_images_is_told_from_the_photographs_by_themselves() -> None:
+    true = scene(np.random.default_rng(6), NOMINAL, "tip", sigma=SIGMA)
+    other = {name: BENT[name] / 1.5 for name in ("fx", "fy", "cx", "cy")}
+    given = replace(eye("tip", SIGMA), **other)
+    model = calib.error_model(ROBOT, offsets=["elbow_joint"], base="fixed", tool="pose")
+    found = blame(*judged(true, model, given, Board(marks=BOARD)))
+    assert found is not None
+    assert found.lens_is_wrong
+    assert found.left == pytest.approx(SIGMA * np.sqrt(2.0), rel=0.2)
 
 
 @pytest.mark.parametrize("cause", ["lens", "arm"])

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray
 from calib.identification.observations.seen import Linearised, Seen, by_twist
 from calib.measurement.boards import places_of
 from calib.measurement.lens import NAMES
@@ -28,13 +28,16 @@ class Photographed(NamedTuple):
     places: Array
 
 
-def photographed(seen: Seen) -> Photographed:
-    """Return what marks leave unexplained, and how that follows the camera, lens and board."""
+def photographed(seen: Seen, photograph: IntArray | None = None) -> Photographed:
+    """Return what marks leave unexplained, and how that follows the camera, lens and board.
+
+    ``photograph`` (n,): of each row, where tools and targets of ``seen`` are those of photographs.
+    """
     data, camera = seen.data, seen.data.camera
     assert camera is not None, "pixels were seen by a camera"
     value, lens = data.value[seen.rows], lens_at(camera, seen.scalars)
     places, by_shape = _places(seen)
-    turn, marks = marks_seen(*_in_order(seen), places)
+    turn, marks = marks_seen(*_in_order(seen), places, photograph)
     projected = project(lens, marks)
     by_place = -projected.by_point @ turn
     # dY = -v - w x Y.
@@ -91,10 +94,12 @@ def _places(seen: Seen) -> tuple[Array, dict[str, Array]]:
     return found, {role: by_values[:, :, k] for k, role in enumerate(roles) if role in seen.scalars}
 
 
-def marks_seen(cameras: Array, boards: Array, places: Array) -> tuple[Array, Array]:
+def marks_seen(cameras: Array, boards: Array, places: Array, photograph: IntArray | None = None) -> tuple[Array, Array]:
     """Return how boards are turned (n, 3, 3), and their marks (n, 3) in m, in the frames of the cameras.
 
-    ``cameras`` and ``boards`` (n, 4, 4) in one frame; ``places`` (n, 3) of the marks on the boards.
+    ``cameras`` and ``boards`` (n, 4, 4) in one frame, or those of photographs, by the ``photograph`` (n,) of each row;
+    ``places`` (n, 3) of the marks on the boards.
     """
     T = rigid.inverse(cameras) @ boards
+    T = T if photograph is None else T[photograph]
     return T[:, :3, :3], (T[:, :3, :3] @ places[:, :, None])[:, :, 0] + T[:, :3, 3]
