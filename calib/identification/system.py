@@ -257,10 +257,8 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array, given: Split |
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
         left = np.empty(data.sigma.shape)
         of_set = [(collected[k], component.columns) for k, component in components if component.measurements == i]
-        number = problem.photographs[i]
-        for block in (
-            () if number is None else rates.photographs(data, number, partial(_folded, problem, i, sigma, left))
-        ):
+        number, folded = problem.photographs[i], partial(_folded, problem, i, sigma, left)
+        for block in () if number is None else rates.photographs(data, number, folded):
             rows = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
             for own, _ in of_set:  # of pixels there is one
                 own.add(rows, block.own, block.block)
@@ -297,7 +295,8 @@ def _folded(
     ]
     whitened = problem.whitened(i, rows, np.concatenate(columns, axis=2) / s)
     left[rows] = whitened[:, :, -1] * s[:, :, 0] if problem.together else seen.residual
-    found = np.zeros((int(number.max()) + 1, 7 + count, 7 + count))
+    marks = np.bincount(number)
+    found = np.zeros((len(marks), min(7 + count, 2 * int(marks.max())), 7 + count))
     for those, of in alike(number):
         own = whitened[of]
         own[of < 0] = 0.0
@@ -444,7 +443,7 @@ def photograph_numbers(data: Measurements) -> IntArray:
 
 def _photographs(data: Measurements) -> IntArray | None:
     """Return the photograph (N,) of every row; None of other kinds, and where rows have little in common."""
-    if data.kind != "pixels" or data.stream is not None or not data.of_boards:
+    if data.kind != "pixels" or data.stream is not None or data.points is not None or not data.of_boards:
         return None
     number = photograph_numbers(data)
     _, first = np.unique(number, return_index=True)

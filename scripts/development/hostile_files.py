@@ -751,7 +751,7 @@ _WRONG_PHOTOGRAPHS: dict[str, Hostile] = {
     "photographs as they should be": _seen_wrongly(_same),
     "photographs, no lens": _seen_wrongly(_same, lens='lens = "free"\nsize = [1280, 1024]\n'),
     "photographs of four marks": _seen_wrongly(_same, side=2),
-    "photographs of a thousand marks": _seen_wrongly(_same, side=32),
+    "photographs of 256 marks": _seen_wrongly(_same, side=16),
     "photographs, one of most marks": _seen_wrongly(_one_of_most, side=3),
     "photographs, short numbers": _seen_wrongly(_same, digits=2),
     "photographs, a pixel astray in each": _seen_wrongly(_changed(_PIXELS, _astray)),
