@@ -53,6 +53,11 @@ def test_error_in_a_process_of_its_own(folder: Path) -> None:
     assert not (folder / "out").exists()
 
 
+def test_an_error_is_told_to_a_terminal_that_says_it_has_no_width(folder: Path) -> None:
+    done = process("check", "no.toml", COLUMNS="0")
+    assert (done.returncode, done.stderr) == (1, b"Error: no.toml: there is no such file.\n")
+
+
 def test_names_of_any_kind_on_an_ascii_terminal(folder: Path) -> None:
     done = process("calibrate", JOB, "-o", "Gelenk-ä-[red]关节", PYTHONIOENCODING="ascii", COLUMNS="40")
     assert (done.returncode, done.stderr) == (0, b"")

@@ -152,9 +152,12 @@ def _model(job: schema.Job, robot: Robot, path: Path) -> ErrorModel:
                 _setups(job),
             ),
         )
-        free = model.parameters()
     except JobError as e:
         raise JobError(f"{path}: error_model.{e}") from e
+    try:
+        free = model.parameters()
+    except JobError as e:  # of names that two joints or tools give, and no key
+        raise JobError(f"{path}: error_model: {e}") from e
     if not free:
         raise JobError(f"{path}: error_model: no parameter is free; free offsets, placements, the base or the tool.")
     return model

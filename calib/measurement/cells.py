@@ -10,6 +10,8 @@ from calib.foundations.errors import MeasurementError
 LONGEST_LINE = 100_000
 _BLOCK = 1_000_000  # bytes; more than a line takes that is not too long
 _ARCHIVE = b"PK\x03\x04"
+# What .xls begins with, and the name of the first member of an .ods, at its place.
+_OLE, _OPEN_DOCUMENT = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", (30, b"mimetype")
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # What exporters write before a line that is no row; behind a percent sign a name may stand, as rostopic has it: %time.
 _COMMENT = re.compile(r"\s*(?:#|//|%(?:$|[\s%=-]))")
@@ -56,6 +58,9 @@ def beginning(data: bytes, where: str) -> list[Line]:
 
 
 def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
+    at, member = _OPEN_DOCUMENT
+    if data.startswith(_OLE) or (data.startswith(_ARCHIVE) and data.startswith(member, at)):
+        raise MeasurementError(f"{where}: is a document of another program, and no text; save it as .xlsx or as CSV.")
     if data.startswith(_ARCHIVE):
         to_do = (
             f"calib import {where} -o table.csv makes a table."

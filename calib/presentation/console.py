@@ -19,11 +19,18 @@ Shown = str | Sheet | RenderableType
 
 def show(*shown: Shown) -> None:
     """Print to standard output, in colours on a terminal and as plain text elsewhere."""
-    console = Console(highlight=False, markup=False)
+    console = _console()
     if console.is_terminal:
         console.print(Group(*map(drawn, shown)), width=min(WIDTH, console.width))
     else:
         write(plain(Group(*map(drawn, shown))))
+
+
+def _console(*, stderr: bool = False) -> Console:
+    console = Console(stderr=stderr, highlight=False, markup=False)
+    if console.width < 1:  # COLUMNS=0, as some terminals have it that do not know: rich would print nothing at all
+        console.width = WIDTH
+    return console
 
 
 def drawn(shown: Shown) -> RenderableType:
@@ -84,7 +91,7 @@ def warning(text: str) -> Text:
 
 def show_error(text: str) -> None:
     """Print an error to standard error, on one line."""
-    console = Console(stderr=True, highlight=False, markup=False)
+    console = _console(stderr=True)
     console.print(strong(f"Error: {text}", "red"), soft_wrap=True)
 
 
@@ -111,7 +118,7 @@ def progress(*, shown: bool, steps: int, alike: bool = False) -> Iterator[Steps]
     ``steps``: how many there will be, as far as is known. ``alike``: they take about as long as each other, and the
     time left is told; else that of three quick steps says nothing of a long one, and the time taken is told.
     """
-    console = Console(stderr=True)
+    console = _console(stderr=True)
     if not (shown and console.is_terminal):
         yield Steps(lambda _text, _done, _total: None, steps)
         return

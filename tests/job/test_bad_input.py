@@ -120,6 +120,9 @@ CASES: dict[str, Edit] = {
     "wrong word for a selection": job(('offsets = "all"', 'offsets = "al"')),
     "list in a list": job(('offsets = "all"', 'offsets = ["joint_1", ["joint_2"]]')),
     "unknown joint": job(('offsets = "all"', 'offsets = ["joint_9"]')),
+    "joint called base": together(
+        edit(URDF, ('"joint_1"', '"base"'), everywhere=True), edit(TABLE, ("joint_1 [deg]", "base [deg]"))
+    ),
     "unknown component": job(('placements = "all"', 'placements = ["joint_3.rq"]')),
     "wrong type for a word": job(('base = "pose"', "base = true")),
     "wrong word": job(('base = "pose"', 'base = "poes"')),

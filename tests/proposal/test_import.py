@@ -212,6 +212,16 @@ def test_a_workbook_in_the_place_of_a_table_says_what_to_do(folder: Path) -> Non
     assert run("import", "m.csv", "-o", "t.csv") == (1, "", expected)
 
 
+def test_a_workbook_of_a_kind_that_is_not_read_is_to_be_saved_anew(folder: Path) -> None:
+    with zipfile.ZipFile(folder / "m.ods", "w") as archive:
+        archive.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
+    (folder / "m.xls").write_bytes(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(100))
+    for name in ("m.ods", "m.xls"):
+        expected = f"Error: {name}: is a document of another program, and no text; save it as .xlsx or as CSV.\n"
+        assert run("import", name, "-o", "t.csv") == (1, "", expected)
+        assert run("init", UR10, name) == (1, "", expected)
+
+
 def test_the_sheet_that_is_seen_is_read(folder: Path) -> None:
     openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.Workbook()

@@ -84,6 +84,14 @@ def test_cells_that_are_no_numbers_and_columns_without_a_name_are_told(folder: P
         "Error: a.csv: column 'shoulder_pan_joint [rad]' is of a joint, and '\u22120.5' in it is no number, like "
         "12.5 or 1.25e1.\n",
     )
+    # One cell of many, in whichever joint: the rest is not taken for a shorter arm.
+    for k in range(6):
+        row = [f"0.{k}" for k in range(1, len(titles) + 1)]
+        damaged = [*row[:k], "0.5 rad", *row[k + 1 :]]
+        (folder / "a.csv").write_text("\n".join(",".join(r) for r in [titles, row, row, damaged, row]))
+        said = run("init", UR10, "a.csv", "-y")
+        assert (said.code, said.out) == (1, "")
+        assert f"column '{titles[k]}' is of a joint, and '0.5 rad' in it is no number" in said.err
     put(folder, "no units")
     lines = (folder / "measured.csv").read_text(encoding="utf-8").splitlines()
     (folder / "measured.csv").write_text("\n".join(f"{line}," for line in lines), encoding="utf-8")

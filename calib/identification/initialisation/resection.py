@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
@@ -270,7 +270,10 @@ def _best(frames: Array, b: Array, turns: Array) -> tuple[Array, Array]:
         z = np.concatenate([np.zeros(3), np.linalg.lstsq(columns, right, rcond=_NEGLIGIBLE)[0]])
         found.append((float(np.sum(residual(z, A) ** 2)), A, z))
     found.sort(key=lambda start: start[0])
-    searched = [(least_squares(residual, z, jacobian, args=(A,), method="lm"), A) for _, A, z in found[:_PROMISING]]
+    searched = [
+        (scipy.optimize.least_squares(residual, z, jacobian, args=(A,), method="lm"), A)
+        for _, A, z in found[:_PROMISING]
+    ]
     result, A = min(searched, key=lambda one: float(one[0].cost))
     z = np.asarray(result.x)
     return rigid.inverse(rigid.placement(A @ rigid.exp3(z[:3]), z[3:6])), z[6:]

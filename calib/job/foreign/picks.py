@@ -1,7 +1,7 @@
 """Which columns may be the joints of which arm, and which the point."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.words import listed, shown
@@ -10,6 +10,7 @@ from calib.job.foreign.answers import Pick, ask, run_of
 from calib.job.foreign.seen import Seen
 from calib.measurement import roles
 from calib.measurement.layout import is_number
+from calib.measurement.raw import RawColumn
 
 _MOST_ARMS = 12
 # Joints beyond an arm.
@@ -19,7 +20,14 @@ _FEWEST_JOINTS = 4
 
 
 def picks_of(seen: Seen) -> list[Pick]:
-    """Return the columns that may be the joints of an arm and a point, in every way that answers allow."""
+    """Return the columns that may be the joints of an arm and a point, in every way that answers allow.
+
+    Raises MeasurementError where a joint's own column has a few cells that are no numbers: without it the rest would
+    be a shorter arm.
+    """
+    for column, wrong in _not_numbers(seen):
+        if column.name not in seen.named and 2 * len(wrong) < len(column.words):
+            raise _no_number(seen, column, wrong)
     if not seen.raw.named:
         found = []
         for arm in _arms_of(seen, range(len(seen.raw.columns) + 1)):
@@ -124,16 +132,8 @@ def _as_answered(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
 
 def no_joints(seen: Seen) -> Exception:
     """Return what to raise where no column is a joint."""
-    joints = {name for arm in seen.arms for name in arm.joints}
-    for column in seen.raw.columns:
-        wrong = [word for word in column.words if word and not is_number(word, ",")]
-        if column.numbers is None and column.name in joints and wrong:
-            # Surely no number are those that are none with a decimal comma either.
-            cell = next((word for word in wrong if not is_number(word, ";")), wrong[0])
-            return MeasurementError(
-                f"{seen.raw.where}: column {column.title!r} is of a joint, and {shown(cell)} in it is no number, like "
-                "12.5 or 1.25e1."
-            )
+    for column, wrong in _not_numbers(seen):
+        return _no_number(seen, column, wrong)
     there = listed([column.title for column in seen.raw.columns])
     longest = seen.arms[0].joints if seen.arms else ()
     sizes = [size for size in roles.numbered_columns(seen.raw) if size > 2] if seen.raw.named else []
@@ -147,4 +147,22 @@ def no_joints(seen: Seen) -> Exception:
         )
     return MeasurementError(
         f"{seen.raw.where}: no column is a joint of the arm ({run_of(longest)}); the columns are {there}."
+    )
+
+
+def _not_numbers(seen: Seen) -> Iterator[tuple[RawColumn, list[str]]]:
+    """Yield the columns that have names of joints, and cells that are no numbers, with these cells."""
+    joints = {name for arm in seen.arms for name in arm.joints}
+    for column in seen.raw.columns:
+        wrong = [word for word in column.words if word and not is_number(word, ",")]
+        if column.numbers is None and column.name in joints and wrong:
+            yield column, wrong
+
+
+def _no_number(seen: Seen, column: RawColumn, wrong: Sequence[str]) -> MeasurementError:
+    # Surely no number are those that are none with a decimal comma either.
+    cell = next((word for word in wrong if not is_number(word, ";")), wrong[0])
+    return MeasurementError(
+        f"{seen.raw.where}: column {column.title!r} is of a joint, and {shown(cell)} in it is no number, like "
+        "12.5 or 1.25e1."
     )
