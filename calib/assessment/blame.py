@@ -48,7 +48,7 @@ _CAUSES: tuple[CauseName, ...] = ("scale", "shape", "lens", "arm")
 _NEARLY_ALL, _MOST = 0.9, 0.5
 _Squares = Iterable[tuple[CauseName, float | None]]
 # So many photographs of a set are identified from, at most.
-_ENOUGH = 100
+_ENOUGH = 60
 # What is free of a lens that was given.
 _NUMBERS = (*FOCAL, *CENTRE, *BENT)
 
@@ -250,7 +250,8 @@ def _left(some: _Some, judged: Sequence[JudgedSet], freed: Collection[CauseName]
         # Where a lens that was given is another one, the job's fit has camera and board elsewhere.
         placed: Placed = "begun" if "lens" in freed else "fitted"
         again = identify_alike(fit, own, [*frames, *named], together=some.together, placed=placed)
-        return _square(residuals_of(again, [_with(one.data, freed) for one in judged], again.machine))
+        seen = [_with(one.data, freed, some.lenses) for one in judged]
+        return _square(residuals_of(again, seen, again.machine))
     except (IdentificationError, MeasurementError):
         return None
 

@@ -212,9 +212,10 @@ def test_of_very_many_photographs_some_tell_the_cause(cause: str, monkeypatch: p
     assert set(rows) == {9 * len(BOARD)}  # every second one of 18
 
 
-def test_a_lens_of_other_images_is_told_from_the_photographs_by_themselves() -> None:
+@pytest.mark.parametrize("times", [1.02, 1.5])
+def test_a_lens_of_other_images_is_told_from_the_photographs_by_themselves(times: float) -> None:
     true = scene(np.random.default_rng(6), NOMINAL, "tip", sigma=SIGMA)
-    other = {name: BENT[name] / 1.5 for name in ("fx", "fy", "cx", "cy")}
+    other = {name: BENT[name] / times for name in ("fx", "fy", "cx", "cy")}
     given = replace(eye("tip", SIGMA), **other)
     model = calib.error_model(ROBOT, offsets=["elbow_joint"], base="fixed", tool="pose")
     found = blame(*judged(true, model, given, Board(marks=BOARD)))
