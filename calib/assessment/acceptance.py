@@ -1,7 +1,7 @@
 """Is a calibrated machine still what it was? New measurements against a limit and against the stated uncertainty.
 
-With residuals r of all rows, their noise S (instrument and model part) and the parameters' covariance, which is common
-to all rows (factor F),
+With residuals r of all rows, their noise S (instrument and model part), and what is common to rows (factor F): errors
+of the parameters, what the model leaves out along the readings, and what a residual model itself gets wrong,
 
     T = r^T (S + F F^T)^-1 r
 
@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 
 from calib.assessment.metrics import Metrics, metrics
 from calib.foundations import rigid
@@ -27,7 +28,7 @@ from calib.foundations.linear import one_thread, svd, triangle
 from calib.foundations.ranges import refuse_beyond
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.tool_uncertainty import common_errors
+from calib.machine.tool_uncertainty import common_errors, residual_errors
 from calib.machine.uncertainty import NoiseLevel, Uncertainty
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.measurements import Measurements
@@ -37,6 +38,8 @@ from calib.robot.robot import TipModel
 SIGNIFICANCE = 0.01
 # Places that differ from one, or from a line, by less than a millionth of the reach.
 _NEARLY_IN_LINE = 1e-6
+# What a residual model gets wrong is common to its neighbours; of more rows so many are looked at together.
+_TOGETHER = 500
 # Entries of twists of length one that differ by rounding alone.
 _SAME_AXIS = 1e-9
 
@@ -252,10 +255,32 @@ def _explains(a: Array, b: Array, freedom: float) -> bool:
 
 def _whitening(machine: CalibratedMachine, data: Measurements, sigma: Array) -> Callable[[Array], Array]:
     """Return what whitens numbers (n,), or columns (n, k), of rows over sigma by what is common to all of them."""
+    less = _less_residual_errors(machine, data, sigma)
     F = common_errors(machine, data) / sigma[:, :, None]
-    U, s, _ = svd(F.reshape(sigma.size, -1), full_matrices=False)
-    # By the root of (I + F F^T)^-1, also where F is so large that the sum would lose the I.
-    return lambda x: np.asarray(x - (U * (1.0 - 1.0 / np.hypot(1.0, s))) @ (U.T @ x))
+    U, s, _ = svd(less(F.reshape(sigma.size, -1)), full_matrices=False)
+
+    def whitened(x: Array) -> Array:
+        # By the root of (I + F F^T)^-1, also where F is so large that the sum would lose the I.
+        y = less(x)
+        return np.asarray(y - (U * (1.0 - 1.0 / np.hypot(1.0, s))) @ (U.T @ y))
+
+    return whitened
+
+
+def _less_residual_errors(machine: CalibratedMachine, data: Measurements, sigma: Array) -> Callable[[Array], Array]:
+    """Return what whitens numbers (n,), or columns (n, k), over sigma by noise and what a residual model gets wrong."""
+    if machine.residual_model is None:
+        return np.asarray
+    d, factors = sigma.shape[1], []
+    for start in range(0, len(data), _TOGETHER):
+        rows = np.arange(start, min(start + _TOGETHER, len(data)))
+        G = (residual_errors(machine, data.subset(rows)) / sigma[rows, :, None]).reshape(d * len(rows), -1)
+        factors.append((slice(d * start, d * start + len(G)), cholesky(np.eye(len(G)) + G @ G.T, lower=True)))
+
+    def less(x: Array) -> Array:
+        return np.concatenate([solve_triangular(factor, x[rows], lower=True) for rows, factor in factors])
+
+    return less
 
 
 def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, *, base: bool) -> Judgement:

@@ -165,7 +165,7 @@ def compare_models(
     measurements: Measurements | Sequence[Measurements],
     *,
     scheme: Scheme = FOLDS,
-    choose: Collection[str] = (),
+    choose: Collection[str] | None = None,
     model_sigmas: Sequence[float | None] | None = None,
     losses: Sequence[Loss] | None = None,
     progress: Callable[[str, int], None] = lambda _text, _left: None,
@@ -175,9 +175,9 @@ def compare_models(
     ``scheme``: the number of folds, or "leave-one-group-out". Rows of one pose, of one socket (where there are two or
     more) and of one word in the column ``group`` stay together; of more than 2000 rows, 2000 are used, taken at random
     over all groups, the same ones every time. ``choose``: names of the models to which joint terms are added that
-    :func:`calib.judging.choose_terms` finds, in every fold anew. ``model_sigmas`` and ``losses`` as in
-    :func:`calib.identify`; every held-out row counts the same. ``progress`` is told each fit, and how many more there
-    are.
+    :func:`calib.judging.choose_terms` finds, in every fold anew; when None, that of :func:`nested_models` which stands
+    for them. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`; every held-out row counts the same.
+    ``progress`` is told each fit, and how many more there are.
 
     A model with more unknowns than the rows determine is refused; when all are, this raises IdentificationError. Raises
     JobError when there is no model, ``choose`` names none of them, or the scheme is none, or holds out more than
@@ -187,6 +187,8 @@ def compare_models(
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
     if not models:
         raise JobError("models: there is none to judge.")
+    if choose is None:
+        choose = [name for name, model in models.items() if name == TERMS and not model.terms]
     if unknown := sorted(set(choose) - set(models)):
         raise JobError(f"choose: {unknown[0]!r} is not one of the models, {', '.join(models)}.")
     group = row_groups(sets, places=True)

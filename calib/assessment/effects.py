@@ -10,8 +10,8 @@ in all of them -, so that N rows say less than N independent ones: the standard 
 blocks of neighbours, each longer than residuals remember (W. K. Newey, K. D. West, Econometrica 55, 1987, with blocks).
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import NamedTuple
 
@@ -111,13 +111,41 @@ def memory(parts: Sequence[Array]) -> float:
 
 
 def gains(parts: Sequence[Stretch], C: Array) -> dict[str, Effect]:
-    """Return for every joint by which share more than it says it would move."""
-    usable = [part for part in parts if part.data.other is None]
-    names = usable[0].joints if usable else ()
-    return {
-        name: effect(usable, [part.by_joint[:, :, j] * part.values[:, None, j] for part in usable], C)
-        for j, name in enumerate(names)
-    }
+    """Return for every joint by which share more than it says it would move; its zero may be elsewhere too."""
+    found = {}
+    for j, name in enumerate(parts[0].joints if parts else ()):
+        within, own = _besides(parts, [part.by_joint[:, :, j : j + 1] for part in parts], C)
+        usable = [part for part in within if part.data.other is None]
+        found[name] = effect(usable, [part.by_joint[:, :, j] * part.values[:, None, j] for part in usable], own)
+    return found
+
+
+def _besides(parts: Sequence[Stretch], motions: Sequence[Array], C: Array) -> tuple[tuple[Stretch, ...], Array]:
+    """Return parts and covariance as of a fit that had sought ``motions`` (n, d, k) of all rows of every part too.
+
+    Where the fit has parameters for them, nothing changes. Where it has none, what is elsewhere in all rows would look
+    like a step that leaves out but a few of them.
+    """
+    both = list(zip(motions, parts, strict=True))
+    A = np.sum([np.tensordot(Z, Z, ((0, 1), (0, 1))) for Z in motions], axis=0)
+    S = np.sum([np.tensordot(Z, part.J, ((0, 1), (0, 1))) for Z, part in both], axis=0)
+    g = np.sum([np.einsum("ndk,nd->k", Z, part.r) for Z, part in both], axis=0)
+    values, V = np.linalg.eigh(A - S @ C @ S.T)
+    kept = values > _TAKEN * np.trace(A) / len(A)
+    if not kept.any():
+        return tuple(parts), C
+    values, V = values[kept], V[:, kept]
+    sizes = -(V.T @ g) / values
+    found = []
+    for Z, part in both:
+        # What the parameters leave of it: so the covariance has no terms of both.
+        left = (Z - part.J @ (C @ S.T)) @ V
+        r, J = part.r + left @ sizes, np.concatenate([part.J, left], axis=2)
+        found.append(replace(part, r=r, J=J, used=part.used + float(np.sum(left**2 / values))))
+    p = len(C)
+    covariance = np.zeros((p + len(values), p + len(values)))
+    covariance[:p, :p], covariance[p:, p:] = C, np.diag(1.0 / values)
+    return tuple(found), covariance
 
 
 def delay(parts: Sequence[Stretch], C: Array) -> tuple[Effect, float]:
@@ -217,7 +245,7 @@ def wandering(parts: Sequence[Stretch], C: Array) -> tuple[float, float]:
         S = D.T @ J
         found = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
         shift = ((D - J @ (C @ S.T)) @ found.sizes).reshape(part.r.shape)
-        chance = _chance(found, part.r + shift, part, C)
+        chance = _chance(found, part.r + shift, part)
         size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) / per_metre([part])
         if size > best[0]:
             best = (size, chance)
@@ -291,11 +319,10 @@ def strains(parts: Sequence[Stretch], C: Array) -> tuple[Strain, ...]:
         S = D.T @ J
         score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
         rest = part.r + ((D - J @ (C @ S.T)) @ score.sizes).reshape(part.r.shape)
-        free = max(rest.size - part.used, 0.1 * rest.size, 1.0)
-        variance = max(float(np.sum(rest**2)) / free, part.least)
+        variance = _scatter(rest, part)
         lengths = np.linalg.eigvalsh(np.einsum("sij,s->ij", _STRAINS, score.sizes))
         size = float(np.sqrt(float(score.gain) / variance / len(rows)))
-        found.append(Strain(part.data.where, float(np.ptp(lengths)), size, _chance(score, rest, part, C)))
+        found.append(Strain(part.data.where, float(np.ptp(lengths)), size, _chance(score, rest, part)))
     return tuple(sorted(found, key=lambda one: (-one.share, one.file)))
 
 
@@ -305,75 +332,84 @@ def per_metre(parts: Sequence[Stretch]) -> float:
     return max(float(np.sqrt(squares / sum(len(part.r) for part in parts))), 1e-12)
 
 
-def _chance(found: Score, rest: Array, part: Stretch, C: Array) -> float:
-    """Return how probable a gain is, against what remains (n, d), of rows that remember each other."""
-    freedom = max(rest.size - len(C), 0.1 * rest.size, 1.0)
-    variance = max(float(np.sum(rest**2)) / freedom, part.least)
-    return _by_chance(found, variance, freedom, rest)
+def _scatter(rest: Array, part: Stretch, taken: int = 0) -> float:
+    """Return the variance of what remains (n, d), of which the parameters, and so many directions, take up some."""
+    return max(float(np.sum(rest**2)) / max(rest.size - part.used - taken, 1.0), part.least)
 
 
-def _by_chance(found: Score, variance: float, freedom: float, r: Array) -> float:
-    """Return how probable a gain is where residuals (n, d) remember each other, by a variance of such a freedom."""
-    inflation = 1.0 + 2.0 * memory([r])
-    square = float(found.gain) / variance / inflation
-    return float(exceeded(square, max(int(found.numbers), 1), max(freedom / inflation, 1.0)))
+def _chance(found: Score, rest: Array, part: Stretch) -> float:
+    """Return how probable a gain is, against what remains (n, d), of rows that remember each other: by F.
+
+    Of what remains, parameters take up some numbers and the directions some more; 1 where they leave none.
+    """
+    numbers = int(found.numbers)
+    freedom = rest.size - part.used - numbers
+    if numbers < 1 or freedom < 1.0:
+        return 1.0
+    inflation = 1.0 + 2.0 * memory([rest])
+    square = float(found.gain) / _scatter(rest, part, numbers) / inflation
+    return float(exceeded(square, numbers, max(freedom / inflation, 1.0)))
 
 
 def steps(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     """Return the likeliest change of base, tool and every joint in the course of every set, the largest size first."""
-    found = [step for part in parts for step in _steps_of(part, C)]
+    things = [("base", [part.by_base for part in parts]), ("tool", [part.by_tool[:, :, :3] for part in parts])]
+    joints = parts[0].joints if parts else ()
+    things += [(name, [part.by_joint[:, :, j : j + 1] for part in parts]) for j, name in enumerate(joints)]
+    found = []
+    for what, motions in things if parts else ():
+        within, own = _besides(parts, motions, C)
+        told = (_step_of(what, part, Z, own, len(things)) for part, Z in zip(within, motions, strict=True))
+        found += [step for step in told if step is not None]
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 
 
 def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     """Return which set would best have a base or a tool of its own, the largest size first; ``line`` is 0."""
-    found = []
-    J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts]) if parts else np.zeros((0, len(C)))
-    ends = np.cumsum([0, *(part.r.size for part in parts)])
-    r = np.concatenate([part.r.ravel() for part in parts]) if parts else np.zeros(0)
-    for k, part in enumerate(parts if len(parts) > 1 else ()):
-        rows, n = slice(ends[k], ends[k + 1]), len(part.r)
-        for what, Z in (("base", part.by_base), ("tool", part.by_tool[:, :, :3])):
-            D = Z.reshape(part.r.size, -1)
-            S = D.T @ J[rows]
-            score = score_test(D.T @ D, S, D.T @ r[rows], C)
-            rest = r - J @ (C @ (S.T @ score.sizes))
-            rest[rows] += D @ score.sizes
-            # Judged by what remains in this set: its noise may have been estimated with the change in it.
-            own = rest[rows].reshape(part.r.shape)
-            free = max(own.size - part.used - D.shape[1], 0.1 * own.size)
-            variance = max(float(np.sum(own**2)) / free, part.least)
-            others = sum(len(one.r) for one in parts) - n
-            size = float(np.sqrt(float(score.gain) / variance / (n * others / (n + others))))
-            chance = _by_chance(score, variance, free, own)
-            found.append(Step(what, part.data.where, 0, size, min(1.0, 2 * len(parts) * chance)))
+    found: list[Step] = []
+    for what in ("base", "tool") if len(parts) > 1 else ():
+        motions = [part.by_base if what == "base" else part.by_tool[:, :, :3] for part in parts]
+        found += _apart(what, motions, *_besides(parts, motions, C))
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 
 
-def _steps_of(part: Stretch, C: Array) -> list[Step]:
+def _apart(what: str, motions: Sequence[Array], parts: Sequence[Stretch], C: Array) -> Iterator[Step]:
+    J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts])
+    ends = np.cumsum([0, *(part.r.size for part in parts)])
+    r = np.concatenate([part.r.ravel() for part in parts])
+    for k, (part, Z) in enumerate(zip(parts, motions, strict=True)):
+        rows, n = slice(ends[k], ends[k + 1]), len(part.r)
+        D = Z.reshape(part.r.size, -1)
+        S = D.T @ J[rows]
+        score = score_test(D.T @ D, S, D.T @ r[rows], C)
+        rest = r - J @ (C @ (S.T @ score.sizes))
+        rest[rows] += D @ score.sizes
+        # Judged by what remains in this set: its noise may have been estimated with the change in it.
+        own = rest[rows].reshape(part.r.shape)
+        variance = _scatter(own, part, int(score.numbers))
+        others = sum(len(one.r) for one in parts) - n
+        size = float(np.sqrt(float(score.gain) / variance / (n * others / (n + others))))
+        chance = _chance(score, own, part)
+        yield Step(what, part.data.where, 0, size, min(1.0, 2 * len(parts) * chance))
+
+
+def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step | None:
     n, d = part.r.shape
     if n < 4 * _LEAST_ROWS:
-        return []
-    things = [("base", part.by_base), ("tool", part.by_tool[:, :, :3])]
-    things += [(name, part.by_joint[:, :, j : j + 1]) for j, name in enumerate(part.joints)]
+        return None
     places = np.unique(np.linspace(_LEAST_ROWS, n - _LEAST_ROWS, _MOST_SPLITS).astype(np.intp))
-    weighted = np.concatenate([part.J, part.r[:, :, None]], axis=2)
-    J, free = part.J.reshape(n * d, -1), max(n * d - part.used, 0.1 * n * d)
-    found = []
-    for what, Z in things:
-        sums = np.cumsum(np.swapaxes(Z, 1, 2) @ np.concatenate([weighted, Z], axis=2), axis=0)[places - 1]
-        S, g, A = sums[:, :, : len(C)], sums[:, :, len(C)], sums[:, :, len(C) + 1 :]
-        scores = score_test(A, S, g, C)
-        best = int(np.argmax(scores.gain))
-        score, place = Score(*(of[best] for of in scores)), int(places[best])
-        if score.gain <= 0.0:
-            continue
-        D = np.concatenate([Z[:place], np.zeros_like(Z[place:])]) @ score.sizes
-        rest = part.r + D - (J @ (C @ (J.T @ D.ravel()))).reshape(n, d)
-        variance = max(float(np.sum(rest**2)) / free, part.least)
-        size = float(np.sqrt(float(score.gain) / variance / (place * (n - place) / n)))
-        chance = min(1.0, _chance(score, rest, part, C) * len(places) * len(things))
-        # The rows were thinned, maybe: their numbers are those of the whole set.
-        line = int(part.data.lines[int(part.row[place - 1])])
-        found.append(Step(what, part.data.where, line, size, chance))
-    return found
+    J = part.J.reshape(n * d, -1)
+    turned = np.swapaxes(Z, 1, 2)
+    S, g, A = (np.cumsum(turned @ of, axis=0)[places - 1] for of in (part.J, part.r[:, :, None], Z))
+    scores = score_test(A, S, g[:, :, 0], C)
+    best = int(np.argmax(scores.gain))
+    score, place = Score(*(of[best] for of in scores)), int(places[best])
+    if score.gain <= 0.0:
+        return None
+    D = np.concatenate([Z[:place], np.zeros_like(Z[place:])]) @ score.sizes
+    rest = part.r + D - (J @ (C @ (J.T @ D.ravel()))).reshape(n, d)
+    size = float(np.sqrt(float(score.gain) / _scatter(rest, part) / (place * (n - place) / n)))
+    chance = min(1.0, _chance(score, rest, part) * len(places) * things)
+    # The rows were thinned, maybe: their numbers are those of the whole set.
+    line = int(part.data.lines[int(part.row[place - 1])])
+    return Step(what, part.data.where, line, size, chance)

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
@@ -193,7 +193,7 @@ class _Lags:
     def fitted(self, seen: Array, model: Array) -> Array:
         """Return the shares (k + 1,) that fit autocovariances (l,) best by a model (l, k + 1); near lags are surest."""
         surest = 1.0 / np.sqrt(1.0 + self.times / self.times[1])
-        return np.asarray(nnls(model * surest[:, None], seen * surest)[0])
+        return np.asarray(scipy.optimize.nnls(model * surest[:, None], seen * surest)[0])
 
 
 def _steps(times: Array, tau: float) -> Array:

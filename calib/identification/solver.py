@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import IdentificationError, JobError, PoseError
@@ -622,7 +622,7 @@ def _levenberg_marquardt(search: _Search, sigmas: tuple[Array, ...], z0: Array) 
     followed = _Followed(search, sigmas, z0)
     # lm and not trf: its first step is not held back, which saves half of the evaluations on nearly linear problems.
     # The columns are scaled already; SciPy's own scaling, its default since 1.16, would hold the first step back.
-    result = least_squares(
+    result = scipy.optimize.least_squares(
         followed.residual,
         search.evaluator.split.parts(z0)[0],
         jac=followed.jacobian,

@@ -336,12 +336,12 @@ def residuals(
                 carried = links[data.tip].carried(readings, told)
                 if data.other is not None:
                     there = links[data.tip].carried(data.other.readings[rows], data.other.conditions.subset(rows))
-                    others = _held(there, tools, data.other.tool[rows], data.other.points, rows)
-                base = _bases(at.frames, data, rows)
+                    others = _held(there, tools, _one_or_all(data.other.tool[rows]), data.other.points, rows)
+                base = np.asarray(at.frames.bases[_setups(data, rows)])
                 for link, own in _on_links(data, rows):
                     base[own] = rigid.inverse(links[link].carried(readings[own], told.subset(own)).placement)
             # In the order of operations in which the Jacobian's rows are made: both give the same bits.
-            held = _held(carried, tools, data.tool[rows], data.points, rows)
+            held = _held(carried, tools, _one_or_all(data.tool[rows]), data.points, rows)
             residual[rows] = _observe(data, rows, at.frames, base, held, others)[0].residual
         found.append(residual)
     return tuple(found)
@@ -390,16 +390,15 @@ def photograph_numbers(data: Measurements) -> IntArray:
     return np.asarray(np.unique(at, axis=0, return_inverse=True)[1].ravel(), dtype=np.intp)
 
 
-def _bases(frames: Frames, data: Measurements, rows: slice) -> Array:
-    """Return the bases (n, 4, 4) of some rows, or the one that all have (4, 4)."""
-    setup = data.setup[rows]
-    if not data.target_links and _all_alike(setup):
-        return np.asarray(frames.bases[setup[0]])
-    return np.asarray(frames.bases[setup])
+def _one_or_all(numbers: IntArray) -> IntArray | int:
+    """Return the number that all rows have, or the numbers (n,) of each."""
+    first = int(numbers[0])
+    return numbers if np.count_nonzero(numbers != first) else first
 
 
-def _all_alike(numbers: IntArray) -> bool:
-    return not np.count_nonzero(numbers != numbers[0])
+def _setups(data: Measurements, rows: slice) -> IntArray | int:
+    """Return the set-ups (n,) of rows, or the one of all; where some look at links, what is seen from is of each."""
+    return data.setup[rows] if data.target_links else _one_or_all(data.setup[rows])
 
 
 def _on_links(data: Measurements, rows: slice) -> Iterator[tuple[str, IntArray]]:
@@ -438,10 +437,10 @@ def _observe(
     return observe(data.kind, Seen(data, rows, ends[0], other, targets, scalars)), tuple(ends)
 
 
-def _held(carried: Regressor, tools: Array, tool: IntArray, points: Array | None, rows: slice) -> Array:
-    """Return where the points of rows are in the base (n, 4, 4): tools (k, 4, 4), by number (n,), or points in them."""
-    if _all_alike(tool):
-        found = carried.behind(carried.end @ tools[tool[0]])
+def _held(carried: Regressor, tools: Array, tool: IntArray | int, points: Array | None, rows: slice) -> Array:
+    """Return where the points of rows are in the base (n, 4, 4): tools (k, 4, 4), by number, or points in them."""
+    if isinstance(tool, int):
+        found = carried.behind(carried.end @ tools[tool])
     else:
         found = rigid.product(carried.placement, tools[tool])
     return found if points is None else rigid.product(found, rigid.translation(points[rows]))
@@ -580,23 +579,24 @@ class Rates:
         frames, tip, none = self._frames, self._links[data.tip], len(self._frames.bases)
         c, whose = self._selection.common, self.whose(data)
         for rows in _blocks(data):
-            base, group, others, there = _bases(frames, data, rows), data.setup[rows], None, None
-            tool = data.tool[rows]
+            setups, tool, others, there = _setups(data, rows), _one_or_all(data.tool[rows]), None, None
+            base, group = np.asarray(frames.bases[setups]), setups
             with _naming(data, rows):
                 told = data.conditions_at(frames.scalars, rows, moving=self._robot.weights is not None)
                 readings = data.readings_at(frames.scalars, rows)
                 motion = tip.motion(readings, told)
                 if data.other is not None:
+                    other = _one_or_all(data.other.tool[rows])
                     there = tip.motion(data.other.readings[rows], data.other.conditions.subset(rows))
-                    others = _held(there.tip, frames.tools, data.other.tool[rows], data.other.points, rows)
+                    others = _held(there.tip, frames.tools, other, data.other.points, rows)
                 seats = [
                     (link, own, self._links[link].motion(readings[own], told.subset(own)))
                     for link, own in _on_links(data, rows)
                 ]
-            for _, own, seat in seats:
-                base[own] = rigid.inverse(seat.placement)
-                group = np.array(group)
-                group[own] = none
+            if seats:
+                group = np.array(setups)
+                for _, own, seat in seats:
+                    base[own], group[own] = rigid.inverse(seat.placement), none
             held = _held(motion.tip, frames.tools, tool, data.points, rows)
             observed, ends = _observe(data, rows, frames, base, held, others)
             moved = [Moved(observed.tool, ends[0])]
@@ -607,12 +607,12 @@ class Rates:
             if data.other is not None and there is not None and others is not None:
                 moved.append(Moved(observed.other, ends[1]))
                 by_other = [follow.seen_from(turned) for follow in observed.other]
-                J += self._through_robot(data.tip, by_other, there, others, data.other.tool[rows], group)
+                J += self._through_robot(data.tip, by_other, there, others, other, group)
             for link, own, seat in seats:
                 # What is seen from a link that moves, moves the other way.
                 back = [follow.of(own).negative() for follow in in_base]
                 then = None if clock is None else (readings[own], clock.subset(own))
-                J[own] += self._through_robot(link, back, seat, held[own], None, group[own], then)
+                J[own] += self._through_robot(link, back, seat, held[own], -1, none, then)
             if observed.target is not None:
                 self._of_targets.add(observed.target.transpose(2, 1, 0), data.target[rows], J.transpose(1, 0, 2))
             for role, by_scalar in observed.scalars.items():
@@ -628,23 +628,23 @@ class Rates:
         follows: Sequence[Follow],
         motion: TipMotion,
         at: Array,
-        tool: IntArray | None,
-        group: IntArray,
+        tool: IntArray | int,
+        group: IntArray | int,
         then: "tuple[Array, _Clocked] | None" = None,
     ) -> Array:
         """Return derivatives (n, d, c + a) of numbers that follow a tool on a link, or the link itself, in the base.
 
-        ``at`` (n, 4, 4): where what they follow is in the base. ``then``: the readings (n, nr) of rows of a stream, and
-        how these depend on its clock.
+        ``at`` (n, 4, 4): where what they follow is in the base. ``tool`` and ``group``, the set-up: numbers (n,) of
+        rows, or the one of all; the last frame, which follows nothing, where there is none. ``then``: the readings (n,
+        nr) of rows of a stream, and how these depend on its clock.
         """
-        tools = np.full(len(group), -1) if tool is None else tool
         # By row of the numbers, so that a product leaves all that it makes in one piece.
         d = sum(follow.size for follow in follows)
-        found, start = np.empty((d, len(group), self._selection.width)), 0
+        found, start = np.empty((d, len(at), self._selection.width)), 0
         for follow in follows:
             own = found[start : (start := start + follow.size)]
             numbers = motion.tip.through(follow, at[:, :3, 3])
-            self._by_carriers(link, numbers, tools, group, own)
+            self._by_carriers(link, numbers, tool, group, own)
             J = own.transpose(1, 0, 2)
             if self._robot.loops:
                 J += motion.by_passive(numbers) @ (motion.rates @ self._selection.of_robot)
@@ -657,15 +657,18 @@ class Rates:
                 J += velocity * clock.by[:, None, :]
         return found.transpose(1, 0, 2)
 
-    def _by_carriers(self, link: str, numbers: Array, tool: IntArray, group: IntArray, found: Array) -> None:
+    def _by_carriers(
+        self, link: str, numbers: Array, tool: IntArray | int, group: IntArray | int, found: Array
+    ) -> None:
         """Write how numbers follow the parameters (d, n, c + a) through what carries a link, by set-up and tool."""
-        if _all_alike(group) and _all_alike(tool):
-            followed(numbers, self._by_parameters(link, int(group[0]), int(tool[0])), found)
+        if isinstance(group, int) and isinstance(tool, int):
+            followed(numbers, self._by_parameters(link, group, tool), found)
             return
         by_robot, by_tools = self._on(link)
         followed(numbers, by_robot, found)
-        self._of_bases.add(numbers[0], group, found)
-        by_tools.add(numbers[-1], tool, found)
+        n = numbers.shape[-1:]
+        self._of_bases.add(numbers[0], np.broadcast_to(group, n), found)
+        by_tools.add(numbers[-1], np.broadcast_to(tool, n), found)
 
     def _on(self, link: str) -> tuple[Array, FramesFollow]:
         """Return how local twists of what carries a link follow the robot (6 (w + 1), c + a), and the last by tools."""

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 from scipy.special import chdtri
 
 from calib.foundations.arrays import Array, IntArray, read_only
@@ -219,7 +219,7 @@ def _widths(heads: _Heads, known: Arrow) -> tuple[float, float, float, float] | 
     def cost(theta: Array) -> tuple[float, Array]:
         return criterion(theta)
 
-    best = minimize(
+    best = scipy.optimize.minimize(
         cost,
         np.array(start, dtype=np.float64),
         jac=True,

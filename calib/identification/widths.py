@@ -21,9 +21,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from scipy.linalg import cho_factor
 from scipy.linalg.lapack import dpotri
-from scipy.optimize import minimize
 
 from calib.foundations.arrays import Array, BoolArray, IntArray
 
@@ -125,7 +125,7 @@ def searched(
         return found.value + more, np.concatenate([found.by_widths + slopes, found.by_factors])
 
     bounds = np.log(np.concatenate([np.tile([[NARROWEST, WIDEST]], (g, 1)), np.column_stack([low, high])]))
-    result = minimize(
+    result = scipy.optimize.minimize(
         cost,
         np.clip(np.log(np.concatenate([start, np.ones(len(low))])), bounds[:, 0], bounds[:, 1]),
         jac=True,

@@ -128,6 +128,13 @@ class GaussianResiduals:
         none = np.zeros((len(readings), 0))
         return Leaning(np.zeros((*none.shape, len(self.readings))), none, sigma / self.kernel.amplitude, sigma)
 
+    def own_errors(self, readings: Array, noise: float) -> Array:  # noqa: ARG002 - it has found its own
+        """Return a factor (N, N) of the covariance of the true errors given the rows, whose diagonal is of sigma."""
+        points = np.asarray(readings, dtype=np.float64)[:, list(self.joints)]
+        known = solve_triangular(self.factor, self.kernel.between(self.points, points), lower=True)
+        values, vectors = np.linalg.eigh(self.kernel.between(points, points) - known.T @ known)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
     @property
     def when_clamped(self) -> str:
         """What :meth:`at` returns far from all rows."""

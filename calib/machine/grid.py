@@ -98,6 +98,15 @@ class SectorGrid:
         points = np.where(weights[:, :, None] > 0.0, at, np.asarray(readings)[:, None])
         return Leaning(points, weights, np.ones(N), np.zeros(N))
 
+    def own_errors(self, readings: Array, noise: float) -> Array:
+        """Return a factor (N, r) of the covariance of the noise of the corners, one column for each that counts."""
+        lean = self.leaning(readings)
+        row, corner = np.nonzero(lean.weights)
+        nodes, number = np.unique(lean.points[row, corner], axis=0, return_inverse=True)
+        found = np.zeros((len(readings), len(nodes)))
+        found[row, number.reshape(-1)] = noise * lean.weights[row, corner]
+        return found
+
     @property
     def when_clamped(self) -> str:
         """What :meth:`at` returns outside, where it clamps."""

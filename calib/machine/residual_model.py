@@ -28,6 +28,12 @@ class ResidualModel(Protocol):
     def leaning(self, readings: Array) -> Leaning:
         """Return what it takes its values from at readings (N, nr)."""
 
+    def own_errors(self, readings: Array, noise: float) -> Array:
+        """Return a factor (N, r) of the covariance that a component of its own errors has at readings (N, nr), in m.
+
+        What it gets wrong is common to neighbours. ``noise``: standard deviation of what it was made of, in m.
+        """
+
     @property
     def when_clamped(self) -> str:
         """What is added in such rows where it clamps."""

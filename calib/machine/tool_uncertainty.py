@@ -16,7 +16,7 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
-from calib.foundations.linear import one_thread
+from calib.foundations.linear import one_thread, triangle
 from calib.foundations.units import DISPLAY_OF
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.grid import axes_of
@@ -96,6 +96,26 @@ def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
             if len(rows):
                 own = data.conditions.subset(rows)
                 found[rows] = tool_errors(there, data.readings[rows], tool, conditions=own)[:, :size]
+    return found
+
+
+def residual_errors(machine: CalibratedMachine, data: Measurements) -> Array:
+    """Return a factor (N, 3 or 6, r) of the covariance of what a residual model gets wrong at the rows of ``data``.
+
+    It is part of the budget of :func:`tool_uncertainty`, and comes on top of :func:`common_errors`. Without columns
+    where there is no residual model. Raises MeasurementError for a set-up that was not identified.
+    """
+    model, level = machine.residual_model, machine.known_uncertainty.position
+    if model is None or level is None:
+        return np.zeros((*data.sigma.shape, 0))
+    own = model.own_errors(data.readings, level.total)
+    if own.shape[1] > len(own):
+        # Cells of many joints have many corners.
+        own = triangle(own.T).T
+    tips = machine.robot.tips(data.readings, machine.deviations, data.conditions)
+    axes = axes_of(model.frame, machine.state.frames.bases[data.setup], tips)
+    found = np.zeros((*data.sigma.shape, 3 * own.shape[1]))
+    found[:, :3] = (axes[:, :, :, None] * own[:, None, None]).reshape(len(data), 3, -1)
     return found
 
 

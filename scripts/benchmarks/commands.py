@@ -27,9 +27,13 @@ Made by `python scripts/benchmarks/commands.py{arguments} --markdown docs/benchm
 machine that others used at the same time. Seconds are the processor's, of whole processes: of each the median of so
 many runs: {repeats}.{before}
 
+The last line is what all of them need before they begin: what is loaded of NumPy, SciPy and Pinocchio, and no less
+would do.
+
 """
 BEFORE = """ Before: a checkout of {date}. Where a command of both does not print the same, what it chooses or
 tells has changed since then."""
+LOADED = "import numpy, scipy.linalg, scipy.special, pinocchio"
 SAID = {
     "models": "`calib models`, an IRB2400 with a closed loop, 102 rows",
     "uncertainty": "`calib uncertainty` of its result",
@@ -37,6 +41,7 @@ SAID = {
     "plan 1000": "`calib plan`, 40 of 1000 poses of a UR10, collisions too",
     "plan 10000": "`calib plan`, 40 of 10,000",
     "auto": '`calib calibrate`, `terms = "auto"`, 3000 rows of a UR10',
+    "loaded": f"`{LOADED}`",
 }
 
 
@@ -53,8 +58,8 @@ def halved(folder: Path) -> Path:
     return folder / "calibration.toml"
 
 
-def run(compiled: Path, tree: Path, *arguments: str) -> tuple[float, str]:
-    """Return the processor time of a command and its children, and what it printed; modules are ``compiled`` there."""
+def run(compiled: Path, tree: Path, code: str, *arguments: str) -> tuple[float, str]:
+    """Return the processor time of a process and its children, and what it printed; modules are ``compiled`` there."""
     settings = {
         **os.environ,
         "OPENBLAS_NUM_THREADS": "1",
@@ -63,11 +68,11 @@ def run(compiled: Path, tree: Path, *arguments: str) -> tuple[float, str]:
     }
     before = os.times()
     done = subprocess.run(
-        [sys.executable, "-c", CALIB, *arguments], env=settings, cwd=tree, capture_output=True, text=True, check=False
+        [sys.executable, "-c", code, *arguments], env=settings, cwd=tree, capture_output=True, text=True, check=False
     )
     after = os.times()
     if done.returncode:
-        raise SystemExit(f"calib {' '.join(arguments)} failed: {done.stderr.strip()}")
+        raise SystemExit(f"{' '.join(arguments) or code} failed: {done.stderr.strip()}")
     return after.children_user + after.children_system - before.children_user - before.children_system, done.stdout
 
 
@@ -79,21 +84,22 @@ def compile_modules(compiled: Path, tree: Path) -> None:
 
 
 def works(folder: Path) -> dict[str, tuple[str, ...]]:
-    """Return the arguments of every command; files are in a folder."""
+    """Return the code of every process, with its arguments; files are in a folder."""
     (folder / "irb2400").mkdir()
     job = str(halved(folder / "irb2400"))
-    run(folder / "compiled", HERE, "calibrate", job, "-o", str(folder / "result"))
+    run(folder / "compiled", HERE, CALIB, "calibrate", job, "-o", str(folder / "result"))
     (folder / "identification.csv").write_text(simulated(3000), encoding="utf-8")
     auto = folder / "auto.toml"
     auto.write_text(JOB.replace('tool = "position"\n', 'tool = "position"\nterms = "auto"\n'), encoding="utf-8")
-    plan = ("plan", URDF, "--tip", "tool0", "-o", str(folder / "out" / "plan.csv"))
+    plan = (CALIB, "plan", URDF, "--tip", "tool0", "-o", str(folder / "out" / "plan.csv"))
     return {
-        "models": ("models", job),
-        "uncertainty": ("uncertainty", str(folder / "result")),
-        "sensitivity": ("sensitivity", job),
+        "models": (CALIB, "models", job),
+        "uncertainty": (CALIB, "uncertainty", str(folder / "result")),
+        "sensitivity": (CALIB, "sensitivity", job),
         "plan 1000": plan,
         "plan 10000": (*plan, "--candidates", "10000"),
-        "auto": ("calibrate", str(auto), "-o", str(folder / "out")),
+        "auto": (CALIB, "calibrate", str(auto), "-o", str(folder / "out")),
+        "loaded": (LOADED,),
     }
 
 

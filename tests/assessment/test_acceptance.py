@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 import calib
+from calib.assessment import acceptance
 from calib.assessment.acceptance import verify
 from calib.assessment.drift import compare
 from calib.foundations.errors import MeasurementError
 from calib.machine.calibrated import machine_of
-from calib.machine.grid import Leaning
+from calib.machine.grid import Leaning, grid_from_residuals
 from calib.machine.residual_model import ResidualModel
 from calib.presentation.acceptance_tables import verification_lines
 from tests.support import machines
@@ -124,6 +125,9 @@ def test_shifts_of_a_grid_belong_to_the_prediction() -> None:
             none = np.zeros((len(readings), 0))
             return Leaning(np.zeros((*none.shape, readings.shape[1])), none, np.ones(len(none)), np.zeros(len(none)))
 
+        def own_errors(self, readings: Array, noise: float) -> Array:
+            return np.zeros((len(readings), 0))
+
         frame = "base"
 
     shifted = replace(data, position=data.position + 1e-3 * u.base[:3, 0])
@@ -138,6 +142,43 @@ def test_shifts_of_a_grid_belong_to_the_prediction() -> None:
     here, there = (verify(known, some, refit=True).base_refitted for some in (shifted, moved))
     assert here is not None and there is not None
     np.testing.assert_allclose(there.residuals, here.residuals @ T[:3, :3].T, atol=1e-9)
+
+
+@pytest.mark.parametrize("one_node", [False, True])
+def test_what_a_grid_gets_wrong_is_expected(one_node: bool) -> None:
+    """Nodes were measured with noise: it comes back in every row of their cells, and is common to these."""
+    _, true, _ = machine()
+    u, robot = machine_of(calibrated(true, 1, stated=(SIGMA, 0.0), rows=200)), machines.load(*UR10)
+    axes = np.radians([[-40.0, -20.0, 0.0, 20.0, 40.0]] * 2 + [[30.0, 50.0, 70.0, 90.0, 110.0]])
+    nodes = np.zeros((125, 6))
+    nodes[:, :3] = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    joints = [reading.name for reading in robot.readings][:3]
+    tests = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        at_nodes, rows = true.measure(robot, nodes, rng=rng, sigma=SIGMA), np.zeros((60, 6))
+        grid = grid_from_residuals(nodes, u.residuals(at_nodes) @ u.base[:3, :3], robot.readings, joints)
+        rows[:, :3] = nodes[31, :3] if one_node else rng.uniform(axes[:, 0], axes[:, -1], (60, 3))
+        data = true.measure(robot, rows, rng=rng, sigma=SIGMA, stated=(SIGMA, 0.0))
+        tests.append(verify(replace(u, residual_model=grid), data).as_calibrated.test)
+    ratios = np.array([test.statistic / test.degrees_of_freedom for test in tests])
+    assert 0.9 < ratios.mean() < 1.1
+    assert all(test.passed for test in tests)
+
+
+def test_many_rows_of_a_grid_are_judged_some_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What rows have in common is kept among those looked at together; whole, or in halves that share no cell."""
+    _, true, _ = machine()
+    u, robot = machine_of(calibrated(true, 1)), machines.load(*UR10)
+    nodes = np.zeros((4, 6))
+    nodes[:, 0] = [-0.3, 0.0, 0.3, 0.6]
+    grid = grid_from_residuals(nodes, np.zeros((4, 3)), robot.readings, [robot.readings[0].name])
+    rows = np.zeros((20, 6))
+    rows[:, 0] = np.repeat([-0.2, 0.4], 10)
+    known, data = replace(u, residual_model=grid), true.measure(robot, rows, rng=np.random.default_rng(3), sigma=SIGMA)
+    whole = verify(known, data).as_calibrated.test
+    monkeypatch.setattr(acceptance, "_TOGETHER", 10)
+    assert verify(known, data).as_calibrated.test.statistic == pytest.approx(whole.statistic, rel=1e-9)
 
 
 def test_the_order_of_rows_and_the_place_of_the_world_do_not_matter() -> None:
@@ -450,6 +491,22 @@ def test_uncertainty_over_the_workspace(case: Path, tmp_path: Path) -> None:
     contents = json.loads(run("uncertainty", case / "out", "--samples", "50", "--json").out)
     assert contents["sigmas"]["100"][0] == pytest.approx(sigma.max() / 1e3, abs=1e-8)
     assert contents["known"] == {"position": 1.0, "orientation": 0.0}
+
+
+def test_uncertainty_of_joint_terms_beyond_what_taught_them_is_told(case: Path, tmp_path: Path) -> None:
+    robot = machines.load(*UR10)
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-1.0, 1.0, (60, 6))
+    true = Machine(machines.arm(*UR10).moved(rng), anywhere(rng), {"tool": np.eye(4)})
+    data = true.measure(robot, q, rng=rng, sigma=2e-5)
+    model = calib.error_model(robot, offsets="all", placements="all", terms={"harmonics": ["elbow_joint"]})
+    calib.save(calib.assess(calib.identify(model, data)), tmp_path / "out")
+    whole = run("uncertainty", tmp_path / "out", "--samples", "20", "--whole")
+    assert "Warning: elbow_joint is outside the range it was identified in, " in whole.out
+    assert "only if the machine's joint terms are the right ones" in " ".join(whole.out.split())
+    # Where it was measured, and for geometry alone, there is nothing to say.
+    assert "Warning" not in run("uncertainty", tmp_path / "out", "--samples", "20").out
+    assert "Warning" not in run("uncertainty", case / "out", "--samples", "20", "--whole").out
 
 
 def test_compensate_warns_outside_the_identified_range(case: Path, tmp_path: Path) -> None:

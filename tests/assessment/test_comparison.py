@@ -114,6 +114,18 @@ def test_models_that_are_the_same_in_other_words_are_one_and_the_shorter_wins() 
     assert found.recommended.name == "short"
 
 
+def test_joint_terms_are_chosen_also_where_nobody_says_so() -> None:
+    robot, data = machines.load(*UR10), measured(1, 80, placed=False, waves=True)
+    models = nested_models(calib.error_model(robot, offsets="all"), [data])
+    del models[PLACEMENTS]
+    found = {m.name: m for m in compare_models(models, data, scheme=2).models}
+    assert found[TERMS].terms
+    # A model of that name with terms of its own is judged as it is.
+    given = calib.error_model(robot, offsets="all", terms={"gain": "all"})
+    (own,) = compare_models({TERMS: given}, data, scheme=2).models
+    assert not own.terms
+
+
 def test_what_the_job_frees_is_judged_too_where_it_is_something_else() -> None:
     robot, data = machines.load(*UR10), measured(0, 40, placed=True)
     full = calib.error_model(robot, offsets="all", placements="all")

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.assessment.checks import of_arm, of_errors, of_rows
-from calib.assessment.effects import Timing, delay, gains, rounding, steps, strains, timing, wandering
+from calib.assessment.effects import Step, Timing, apart, delay, gains, rounding, steps, strains, timing, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check
 from calib.assessment.stretches import stretches
@@ -47,9 +47,9 @@ class Cell:
         data = self.machine.measure(self.robot, q, rng=self.rng, sigma=sigma)
         return data if read is None else replace(data, readings=read)
 
-    def effects(self, data: calib.Measurements) -> tuple[tuple, Array]:
+    def effects(self, data: calib.Measurements, model: calib.ErrorModel | None = None) -> tuple[tuple, Array]:
         """The rows of a fit to them, and its covariance."""
-        residue = Residue.of(calib.identify(self.model, data), {})
+        residue = Residue.of(calib.identify(model or self.model, data), {})
         return stretches(residue), residue.C
 
 
@@ -231,6 +231,65 @@ def test_a_jump_of_the_base_is_found_where_it_is(cell: Cell) -> None:
     assert (worst.what, worst.line) == ("base", data.lines[24])
     assert worst.size > 10.0
     assert worst.chance < 1e-20
+
+
+@pytest.mark.parametrize(("rows", "left"), [(12, 3.0), (13, 6.0), (14, 9.0)])
+def test_few_rows_that_are_sound_show_no_jump_and_no_strain(rows: int, left: float) -> None:
+    """Where few numbers are left over, directions take up many of them: by F with as many as really remain."""
+    for seed in range(4):
+        cell = Cell(seed)
+        cell.model = calib.error_model(cell.robot, offsets="all", placements="all", terms={"gain": "all"})
+        parts, C = cell.effects(cell.measured(cell.draw(rows)))
+        assert parts[0].r.size - parts[0].used == pytest.approx(left, abs=1e-3)
+        assert all(step.chance > 0.01 for step in steps(parts, C))
+        assert all(strain.chance > 0.01 for strain in strains(parts, C))
+
+
+def test_a_small_jump_in_thirty_rows_is_found() -> None:
+    for seed in range(4):
+        cell = Cell(seed)
+        data = cell.measured(cell.draw(30))
+        moved = data.position + np.where(np.arange(30) >= 13, 3e-4, 0.0)[:, None]
+        worst = min(steps(*cell.effects(replace(data, position=moved))), key=lambda step: step.chance)
+        assert (worst.what, worst.line) == ("base", data.lines[12])
+        assert worst.chance < of_rows.RARELY
+        assert worst.size > of_rows.SIZE
+
+
+def test_what_is_elsewhere_in_all_rows_has_not_jumped(cell: Cell) -> None:
+    # Zeros that the fit does not seek are off throughout: of a step that leaves out three rows that is nearly all.
+    few = calib.error_model(cell.robot)
+    rng = np.random.default_rng(7)
+    off = rng.normal(0.0, 5e-3, 6)
+    q = rng.uniform(0.3, 1.8, (60, 6))
+    data = cell.measured(q, q - off)
+    parts, C = cell.effects(data, few)
+    assert all(step.size < of_rows.SIZE or step.chance > of_rows.RARELY for step in steps(parts, C))
+    assert all(abs(gain.value) < of_rows.GEAR for gain in gains(parts, C).values() if abs(gain.t) > of_rows.SURE)
+    # A jump in the middle of them still shows.
+    later = np.where(np.arange(60) >= 25, 0.05, 0.0)[:, None] * np.eye(6)[2]
+    parts, C = cell.effects(replace(data, readings=data.readings + later), few)
+    worst = steps(parts, C)[0]
+    assert (worst.what, worst.line) == (cell.robot.readings[2].name, data.lines[24])
+    assert worst.size > of_rows.SIZE
+    assert worst.chance < of_rows.RARELY
+
+
+def test_a_tool_that_is_stated_wrong_for_all_tables_sets_none_of_them_apart(cell: Cell) -> None:
+    known = calib.Known(tools={"tool": machines.pose((0.052, 0.019, 0.151))})
+    model = calib.error_model(cell.robot, offsets="all", placements="all", tool="fixed", known=known)
+
+    def told(*sets: calib.Measurements) -> tuple[Step, ...]:
+        residue = Residue.of(calib.identify(model, sets), {})
+        return apart(stretches(residue), residue.C)
+
+    one, other = (cell.measured(cell.draw(40)) for _ in range(2))
+    assert all(step.size < of_rows.SIZE or step.chance > of_rows.RARELY for step in told(one, other))
+    elsewhere = replace(cell.machine, tools={"tool": machines.pose((0.058, 0.02, 0.15))})
+    moved = elsewhere.measure(cell.robot, other.readings, rng=cell.rng, sigma=5e-5)
+    worst = told(one, moved)[0]
+    assert worst.what == "tool"
+    assert worst.size > of_rows.SIZE
 
 
 def test_sound_rows_show_no_effect(cell: Cell) -> None:

@@ -1,6 +1,7 @@
 """A job that climbs in levels, on the shipped IRB2400: what each level brings, and what is kept of it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,19 @@ def test_the_model_read_back_predicts_with_the_grid(outcome: Calibration, out: P
     np.testing.assert_allclose(judged.data.position - predicted, judged.after, atol=1e-12)
     assert model.residual_model is not None
     assert not any(model.residual_model.outside(judged.data.readings))
+
+
+def test_the_machine_passes_by_its_own_test_rows_and_a_bent_one_does_not(outcome: Calibration, out: Path) -> None:
+    """What the grid itself gets wrong is in every row of a cell, and is stated."""
+    model = calib.load_machine(out)
+    (judged,) = [judged for judged in outcome.sets if judged.use == "validation"]
+    assert calib.verify(model, judged.data).passed
+    for joint in range(6):
+        bent = judged.data.readings.copy()
+        bent[:, joint] += 1e-4
+        moved = model.predict(bent)[:, :3, 3] - model.predict(judged.data.readings)[:, :3, 3]
+        moved *= 3e-4 / np.sqrt(np.mean(np.sum(moved**2, axis=1)))
+        assert not calib.verify(model, replace(judged.data, position=judged.data.position + moved)).passed
 
 
 def test_the_result_tells_the_levels(outcome: Calibration, out: Path) -> None:

@@ -13,7 +13,7 @@ from calib.machine.budget import errors_by_cause
 from calib.machine.calibrated import CalibratedMachine, _beyond, machine_of
 from calib.machine.gaussian import gaussian_from_residuals
 from calib.machine.grid import grid_from_residuals
-from calib.machine.tool_uncertainty import tool_errors, tool_uncertainty
+from calib.machine.tool_uncertainty import residual_errors, tool_errors, tool_uncertainty
 from calib.machine.uncertainty import CAUSES, Waves, rms_by_cause
 from tests.support import machines
 from tests.support.machines import Array, Machine, anywhere, pose
@@ -65,6 +65,13 @@ def waving(readings: Array) -> Array:
 
 def share(machine: CalibratedMachine, readings: Array, cause: str) -> float:
     return float(np.sqrt(np.mean(tool_uncertainty(machine, readings).budget[cause][:, 0] ** 2)))
+
+
+def own_errors(machine: CalibratedMachine, data: calib.Measurements, readings: Array) -> Array:
+    """The covariance (N, N, 3, 3) of what a residual model gets wrong."""
+    n = len(readings)
+    F = residual_errors(machine, replace(data.subset(np.arange(n)), readings=readings))
+    return np.einsum("nik,mjk->nmij", F, F)
 
 
 def test_shares_add_up_to_the_covariance() -> None:
@@ -208,6 +215,13 @@ def test_a_grid_knows_its_nodes_and_leaves_the_wrist() -> None:
     assert share(machine, at_node, "residual_model") == pytest.approx(np.sqrt(3.0) * total)
     between = at_node + np.array([0.2, 0.2, 0.2, 0.0, 0.0, 0.0])
     assert share(machine, between, "residual_model") == pytest.approx(np.sqrt(3.0 / 8.0) * total)
+    rows = np.concatenate([at_node, between, outside, at_node])
+    covariance = own_errors(machine, fit.measurements[0], rows)
+    single = [share(machine, rows[n : n + 1], "residual_model") ** 2 for n in range(4)]
+    np.testing.assert_allclose(np.trace(covariance, axis1=2, axis2=3).diagonal(), single, atol=1e-18)
+    # One node twice is one error; of the middle of the cell it makes up an eighth.
+    np.testing.assert_allclose(covariance[0, 3], total**2 * np.eye(3), atol=1e-18)
+    np.testing.assert_allclose(covariance[0, 1], total**2 / 8.0 * np.eye(3), atol=1e-18)
 
 
 def test_a_process_leaves_what_it_does_not_know() -> None:
@@ -219,6 +233,13 @@ def test_a_process_leaves_what_it_does_not_know() -> None:
     np.testing.assert_allclose(tool_errors(machine, far), tool_errors(plain, far), rtol=1e-6)
     assert share(machine, far, "residual_model") == pytest.approx(np.sqrt(3.0) * process.kernel.amplitude, rel=1e-6)
     near = data.readings[:5]
+    rows = np.concatenate([near + 0.1, near[:1] + 0.1001, far])
+    covariance = own_errors(machine, data, rows)
+    single = [share(machine, rows[n : n + 1], "residual_model") ** 2 for n in range(7)]
+    np.testing.assert_allclose(np.trace(covariance, axis1=2, axis2=3).diagonal(), single, rtol=1e-6)
+    # Neighbours err alike, and what is far away for itself.
+    np.testing.assert_allclose(covariance[0, 5], covariance[0, 0], rtol=0.05, atol=1e-3 * covariance[0, 0, 0, 0])
+    np.testing.assert_allclose(covariance[0, 6], 0.0, atol=1e-18)
     assert np.linalg.norm(tool_errors(machine, near)[:, :3]) <= np.linalg.norm(tool_errors(plain, near)[:, :3])
 
 

@@ -11,7 +11,7 @@ directions are bounded, and those behind the camera are as far off as can be.
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, BoolArray, read_only
@@ -136,7 +136,10 @@ def _best(frames: Array, b: Array, turns: Array, point: Array | None) -> tuple[A
         z = np.concatenate([np.zeros(3), s_and_p])
         found.append((float(np.sum(residual(z, A) ** 2)), A, z))
     found.sort(key=lambda start: start[0])
-    searched = [(least_squares(residual, z, jacobian, args=(A,), method="lm"), A) for _, A, z in found[:_PROMISING]]
+    searched = [
+        (scipy.optimize.least_squares(residual, z, jacobian, args=(A,), method="lm"), A)
+        for _, A, z in found[:_PROMISING]
+    ]
     result, A = min(searched, key=lambda one: float(one[0].cost))
     z = np.asarray(result.x)
     pose = rigid.inverse(rigid.placement(A @ rigid.exp3(z[:3]), z[3:6]))
