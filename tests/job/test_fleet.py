@@ -14,6 +14,7 @@ import time
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
+import joblib
 import psutil
 import pytest
 
@@ -220,8 +221,6 @@ def test_a_job_whose_process_dies_is_told_and_the_others_go_on(monkeypatch: pyte
 
 
 def test_no_more_processes_are_started_than_there_are_jobs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import joblib  # noqa: PLC0415 - as the module does
-
     asked: list[int] = []
     configured = joblib.parallel_config
 
