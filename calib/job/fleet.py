@@ -213,7 +213,9 @@ def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[D
     """Run jobs over processes of this machine; what is given yields what has become of them, as they end."""
     import joblib  # noqa: PLC0415 - calib must not load it on import
 
-    count = joblib.cpu_count() if workers is None else workers
+    # All would be started, also those for which there is no job; two at least, or the job would run in this process.
+    wanted = joblib.cpu_count() if workers is None else workers
+    count = min(wanted, max(2, len(jobs)))
     started = {"initializer": _serve, "initargs": (os.getpid(),)}
 
     loky = joblib.parallel_config("loky", n_jobs=count, inner_max_num_threads=1, **started)
