@@ -166,7 +166,10 @@ def test_folders_that_cannot_take_a_summary(folder: Path, monkeypatch: pytest.Mo
     (folder / "mine").mkdir()
     (folder / "mine/summary.csv").write_text("mine")
     (folder / "file").write_text("mine")
+    (folder / "results").mkdir()
+    (folder / "results/result.json").write_text("{}")
     for out, why in (
+        ("results", "results: holds the results of one job, which nothing else may be in; choose another folder."),
         ("mine", "mine/summary.csv: is no summary of a fleet, and would be replaced by one; choose a folder."),
         ("file", "file: is a file, and the results need a folder."),
         ("x" * 300, f"{'x' * 300}: cannot hold the results (File name too long)."),
