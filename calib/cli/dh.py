@@ -35,7 +35,7 @@ def dh(
     refuse_taken(out)
     if out.suffix.lower() == ".urdf":
         if tip is not None or base is not None:
-            raise JobError(f"{source}: a DH table names no links; --tip and --base are of a URDF, and are left out here.")
+            raise JobError(f"{source}: a DH table names no links, so that --tip and --base are left out.")
         table = dh_of.read_dh(source, convention)
         write_new(out, dh_of.dh_to_urdf(table, out.stem))
     else:
