@@ -91,17 +91,28 @@ def test_noise_does_not_make_a_size_of_a_single_mark(camera_on: str) -> None:
 
 
 @pytest.mark.parametrize("together", [False, True])
-@pytest.mark.parametrize("camera_on", ["floor", "tip"])
-def test_photographs_say_what_their_marks_say(camera_on: str, together: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows in any order, of many marks and of one, with lens and shape free, at a place that explains nothing."""
+@pytest.mark.parametrize(
+    ("camera_on", "link"), [("floor", None), ("tip", None), ("tip", "upper_arm_link"), ("floor", "shoulder_link")]
+)
+def test_photographs_say_what_their_marks_say(
+    camera_on: str, link: str | None, together: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows in any order, of many marks and of one, with lens and shape free, at a place that explains nothing.
+
+    ``link``: where the target is said to be, if not on the floor.
+    """
     rng = np.random.default_rng(3)
     true = scene(rng, NOMINAL, camera_on)
     camera = replace(true.camera, free=("fx", "fy", "k1"))
     data = cameras.photographed(ROBOT, true, 12, camera, Board(marks=BOARD, shape="quadratic"), rng, 0.3)
     data = data.subset(rng.permutation(len(data))[:150])
-    model = calib.error_model(ROBOT, offsets="all", placements="all", tool="pose")
+    robot = ROBOT if link is None else calib.load_robot(UR5, tip=TIP, links=[link])
+    model = calib.error_model(robot, offsets="all", placements="all", tool="pose")
     problem = initial_problem(model, [data])
-    x = values_at(ROBOT, problem.parameters, problem.reference) + rng.uniform(-0.02, 0.02, len(problem.parameters))
+    (own,) = problem.measurements
+    links = {} if link is None else dict.fromkeys(own.targets, link)
+    problem = replace(problem, measurements=(replace(own, target_links=links),))
+    x = values_at(robot, problem.parameters, problem.reference) + rng.uniform(-0.02, 0.02, len(problem.parameters))
     sigmas = [rng.uniform(0.2, 0.5, data.sigma.shape)]
     number = photograph_numbers(problem.measurements[0])
     if together:
