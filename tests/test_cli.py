@@ -296,6 +296,8 @@ def test_dh_as_json(folder: Path) -> None:
     assert [row["joint"] for row in again["rows"]] == [row["joint"] for row in contents["rows"]]
     assert run("dh", "table.csv", "-o", "more.urdf").out == "7 rows, standard convention; the file is more.urdf.\n"
     assert run("dh", "table.csv", "-o", "quiet.urdf", "-q") == (0, "", "")
+    left_out = "table.csv: a DH table names no links, so that --tip and --base are left out."
+    assert run("dh", "table.csv", "-o", "tip.urdf", "--tip", "probe") == (1, "", f"Error: {left_out}\n")
 
 
 def test_cell_as_json(folder: Path) -> None:

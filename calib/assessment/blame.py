@@ -8,29 +8,36 @@ part. Where that is most, corners are named. Else it is the simplest cause that 
 corners, as a print that is too large is likelier than an arm whose every link is: if it explains nearly all. Else the
 only one without which all others together leave most of it. Where there is none such, none is named; nor is any
 looked for where even all together leave what cannot be explained: readings that are not of these photographs.
+
+Of very many photographs only some are identified from here, which all tried causes share: which it is, more of them do
+not tell better.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from glob import escape
-from typing import Literal
+from types import MappingProxyType
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from calib.assessment.checks.of_errors import LEFT
 from calib.assessment.hand_eye import lens_of
 from calib.assessment.judged import JudgedSet
-from calib.foundations.arrays import Array, BoolArray
-from calib.foundations.errors import IdentificationError, MeasurementError
+from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.foundations.linear import spread
 from calib.identification.fit import Fit
-from calib.identification.identify import identify_alike, residuals_of
+from calib.identification.identify import Placed, identify_alike, residuals_of
 from calib.identification.initialisation.lenses import legible, photographs_of
 from calib.identification.photographs import Optics, poses_of
 from calib.identification.photographs import fit as bundle
+from calib.identification.system import photograph_numbers
+from calib.identification.together import Together
 from calib.measurement.boards import can_be_bent
-from calib.measurement.lens import BENT, CENTRE, FOCAL
+from calib.measurement.lens import BENT, CENTRE, FOCAL, Lens
 from calib.measurement.measurements import Measurements
 from calib.measurement.optics import SCALE, seen_by
 
@@ -40,6 +47,8 @@ _CAUSES: tuple[CauseName, ...] = ("scale", "shape", "lens", "arm")
 # As squares: what of all beyond corners one cause explains that is named, and of which share of all corners are most.
 _NEARLY_ALL, _MOST = 0.9, 0.5
 _Squares = Iterable[tuple[CauseName, float | None]]
+# So many photographs of a set are identified from, at most.
+_ENOUGH = 60
 # What is free of a lens that was given.
 _NUMBERS = (*FOCAL, *CENTRE, *BENT)
 
@@ -129,17 +138,22 @@ def blame(fit: Fit, sets: Sequence[JudgedSet]) -> Blame | None:
     judged, free = _tried(fit, sets)
     if not free or not fit.converged:
         return None
-    held = _held(fit, free)
-    whole, left, corners = _left(fit, judged, ()), _all_free(fit, judged, free), _corners(fit, judged)
-    if whole is None or left is None or corners is None:
+    held, some = _held(fit, free), _Some.of(fit)
+    alone_found = _corners(some, judged)
+    if alone_found is None:
+        return None
+    corners, lenses = alone_found
+    some = some._replace(lenses=lenses)
+    whole, left = _left(some, judged, ()), _all_free(some, judged, free)
+    if whole is None or left is None:
         return None
     pixels = np.concatenate([one.data.value[:, :2] for one in judged])
     if np.sqrt(min(left, _square([one.after for one in judged]))) > LEFT * spread(pixels):
         free = []
     several = len(free) > 1
-    alone = {name: _left(fit, judged, (name,)) if several else left for name in free}
+    alone = {name: _left(some, judged, (name,)) if several else left for name in free}
     others = {name: [other for other in free if other != name] for name in free}
-    beside = {name: _left(fit, judged, others[name]) if several else whole for name in free}
+    beside = {name: _left(some, judged, others[name]) if several else whole for name in free}
     tool = np.array([p.kind == "tool" and p.unit == "m" for p in fit.parameters])
     parameters = {name: _of(fit, name) for name in _CAUSES}
     causes = tuple(
@@ -188,30 +202,73 @@ def _held(fit: Fit, free: Sequence[CauseName]) -> list[CauseName]:
     return [name for name in free if not _of(fit, name).any()]
 
 
-def _all_free(fit: Fit, judged: Sequence[JudgedSet], free: Sequence[CauseName]) -> float | None:
+class _Some(NamedTuple):
+    """A fit, and the ``rows`` to identify from where causes are tried, with how those ``together`` err.
+
+    ``all``: whether these are the fit's own. ``lenses``: of cameras, as photographs by themselves show them.
+    """
+
+    fit: Fit
+    rows: tuple[Measurements, ...]
+    together: tuple[Together | None, ...]
+    all: bool
+    lenses: Mapping[str, Lens] = MappingProxyType({})
+
+    @classmethod
+    def of(cls, fit: Fit) -> "_Some":
+        """Return as many photographs of every set as are enough, evenly among all, and all other rows."""
+        chosen = [_enough(data) for data in fit.measurements]
+        rows = tuple(data.subset(rows) for data, rows in zip(fit.measurements, chosen, strict=True))
+        together = tuple(
+            own and own.drawn(rows, np.zeros(len(rows), dtype=np.intp))
+            for own, rows in zip(fit.together, chosen, strict=False)
+        )
+        every = sum(map(len, rows)) == sum(map(len, fit.measurements))
+        return cls(fit, fit.measurements, fit.together, all=True) if every else cls(fit, rows, together, all=False)
+
+
+def _enough(data: Measurements) -> IntArray:
+    if data.board is None:
+        return np.arange(len(data))
+    number = photograph_numbers(data)
+    return np.flatnonzero(number % -(-(int(number.max(initial=0)) + 1) // _ENOUGH) == 0)
+
+
+def _all_free(some: _Some, judged: Sequence[JudgedSet], free: Sequence[CauseName]) -> float | None:
     """Return the mean square, in px^2, of photographs held out where all causes are free, as in most jobs."""
-    return _left(fit, judged, free) if _held(fit, free) else _square([one.after for one in judged])
+    if some.all and not _held(some.fit, free):
+        return _square([one.after for one in judged])
+    return _left(some, judged, free)
 
 
-def _left(fit: Fit, judged: Sequence[JudgedSet], freed: Collection[CauseName]) -> float | None:
+def _left(some: _Some, judged: Sequence[JudgedSet], freed: Collection[CauseName]) -> float | None:
     """Return the mean square, in px^2, of photographs held out where some causes alone are free; None if that fails."""
-    own = [_with(data, freed) for data in fit.measurements]
+    fit, own = some.fit, [_with(data, freed, some.lenses) for data in some.rows]
     frames = [escape(p.name) for p in fit.parameters if not p.of_robot and not p.nuisance]
     named = [escape(p.name) for p in fit.parameters if p.of_robot and "arm" in freed]
     try:
-        again = identify_alike(fit, own, [*frames, *named])
-        return _square(residuals_of(again, [_with(one.data, freed) for one in judged], again.machine))
+        # Where a lens that was given is another one, the job's fit has camera and board elsewhere.
+        placed: Placed = "begun" if "lens" in freed else "fitted"
+        again = identify_alike(fit, own, [*frames, *named], together=some.together, placed=placed)
+        seen = [_with(one.data, freed, some.lenses) for one in judged]
+        return _square(residuals_of(again, seen, again.machine))
     except (IdentificationError, MeasurementError):
         return None
 
 
-def _with(data: Measurements, freed: Collection[CauseName]) -> Measurements:
-    """Return what a camera saw, with lens and board as they were given but for what is free."""
+def _with(
+    data: Measurements, freed: Collection[CauseName], lenses: Mapping[str, Lens] = MappingProxyType({})
+) -> Measurements:
+    """Return what a camera saw, with lens and board as they were given but for what is free.
+
+    ``lenses``: where the search begins for one that was given, by the camera's name.
+    """
     camera, board = data.camera, data.board
     if camera is None or board is None:
         return data
     if "lens" in freed:
-        camera = replace(camera, free=camera.free or _NUMBERS)
+        begun = {} if camera.free or camera.name not in lenses else lenses[camera.name]._asdict()
+        camera = replace(camera, free=camera.free or _NUMBERS, **begun)
     elif not (camera.unknown or camera.found):
         camera = replace(camera, free=())
     if "scale" not in freed:
@@ -223,18 +280,19 @@ def _with(data: Measurements, freed: Collection[CauseName]) -> Measurements:
     return seen_by(data, camera, board)
 
 
-def _corners(fit: Fit, judged: Sequence[JudgedSet]) -> float | None:
-    """Return the mean square, in px^2, that lens, board and a pose of its own leave of each photograph.
+def _corners(some: _Some, judged: Sequence[JudgedSet]) -> tuple[float, Mapping[str, Lens]] | None:
+    """Return the mean square, in px^2, that lens, board and a pose of its own leave of each photograph, and the lenses.
 
     Robots take no part in it: it is how well corners are found. It allows for what was fitted. None where photographs
     are too few for that.
     """
-    sets, squares, rows = [*fit.measurements, *(one.data for one in judged)], 0.0, 0
+    lenses: dict[str, Lens] = {}
+    sets, squares, rows = [*some.rows, *(one.data for one in judged)], 0.0, 0
     for name in dict.fromkeys(_pair(data) for data in sets if data.board is not None):
         same = [_with(data, ("lens", "shape")) for data in sets if data.board is not None and _pair(data) == name]
         camera = same[0].camera
         assert camera is not None, "pixels were seen by a camera"
-        lens = lens_of(fit, camera)[0]
+        lens = lens_of(some.fit, camera)[0]
         photographs = legible([one for data in same for one in photographs_of(data)], lens)
         if not photographs:
             return None
@@ -244,9 +302,12 @@ def _corners(fit: Fit, judged: Sequence[JudgedSet]) -> float | None:
         freedom = 2 * count - 6 * len(photographs) - len(camera.free) - len(optics.shape)
         if freedom <= 0:
             return None
+        if found.converged:
+            with suppress(JobError):  # a lens that cannot be is none to begin with
+                lenses[camera.name] = replace(camera, **found.optics.lens._asdict()).lens
         squares += count * 2.0 * sum(float(np.sum(r * r)) for r in found.residuals) / freedom
         rows += count
-    return squares / rows if rows else None
+    return (squares / rows, lenses) if rows else None
 
 
 def _pair(data: Measurements) -> tuple[str, str]:

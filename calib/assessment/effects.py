@@ -10,7 +10,7 @@ in all of them -, so that N rows say less than N independent ones: the standard 
 blocks of neighbours, each longer than residuals remember (W. K. Newey, K. D. West, Econometrica 55, 1987, with blocks).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import NamedTuple
@@ -366,26 +366,31 @@ def steps(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
 
 def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     """Return which set would best have a base or a tool of its own, the largest size first; ``line`` is 0."""
-    found = []
-    J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts]) if parts else np.zeros((0, len(C)))
-    ends = np.cumsum([0, *(part.r.size for part in parts)])
-    r = np.concatenate([part.r.ravel() for part in parts]) if parts else np.zeros(0)
-    for k, part in enumerate(parts if len(parts) > 1 else ()):
-        rows, n = slice(ends[k], ends[k + 1]), len(part.r)
-        for what, Z in (("base", part.by_base), ("tool", part.by_tool[:, :, :3])):
-            D = Z.reshape(part.r.size, -1)
-            S = D.T @ J[rows]
-            score = score_test(D.T @ D, S, D.T @ r[rows], C)
-            rest = r - J @ (C @ (S.T @ score.sizes))
-            rest[rows] += D @ score.sizes
-            # Judged by what remains in this set: its noise may have been estimated with the change in it.
-            own = rest[rows].reshape(part.r.shape)
-            others = sum(len(one.r) for one in parts) - n
-            variance = _scatter(own, part, int(score.numbers))
-            size = float(np.sqrt(float(score.gain) / variance / (n * others / (n + others))))
-            chance = _chance(score, own, part)
-            found.append(Step(what, part.data.where, 0, size, min(1.0, 2 * len(parts) * chance)))
+    found: list[Step] = []
+    for what in ("base", "tool") if len(parts) > 1 else ():
+        motions = [part.by_base if what == "base" else part.by_tool[:, :, :3] for part in parts]
+        found += _apart(what, motions, *_besides(parts, motions, C))
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
+
+
+def _apart(what: str, motions: Sequence[Array], parts: Sequence[Stretch], C: Array) -> Iterator[Step]:
+    J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts])
+    ends = np.cumsum([0, *(part.r.size for part in parts)])
+    r = np.concatenate([part.r.ravel() for part in parts])
+    for k, (part, Z) in enumerate(zip(parts, motions, strict=True)):
+        rows, n = slice(ends[k], ends[k + 1]), len(part.r)
+        D = Z.reshape(part.r.size, -1)
+        S = D.T @ J[rows]
+        score = score_test(D.T @ D, S, D.T @ r[rows], C)
+        rest = r - J @ (C @ (S.T @ score.sizes))
+        rest[rows] += D @ score.sizes
+        # Judged by what remains in this set: its noise may have been estimated with the change in it.
+        own = rest[rows].reshape(part.r.shape)
+        variance = _scatter(own, part, int(score.numbers))
+        others = sum(len(one.r) for one in parts) - n
+        size = float(np.sqrt(float(score.gain) / variance / (n * others / (n + others))))
+        chance = _chance(score, own, part)
+        yield Step(what, part.data.where, 0, size, min(1.0, 2 * len(parts) * chance))
 
 
 def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step | None:

@@ -62,4 +62,4 @@ def held_out_errors(kernel: Kernel, points: Array, errors: Array, fold: IntArray
         for k in range(int(fold.max()) + 1):
             own = np.flatnonzero(fold == k)
             left[own] = np.linalg.solve(inverse[np.ix_(own, own)], weights[own])
-    return left
+    return np.asarray(left)

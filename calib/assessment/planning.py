@@ -103,7 +103,7 @@ def plan(
     how = measurement or PlannedMeasurement()
     if isinstance(candidates, int):
         candidates = random_candidates(model.urdf_robot, how.frames, candidates).readings
-    model.urdf_robot.own(candidates)
+    candidates = model.urdf_robot.own(candidates)
     _refuse_few(count, candidates)
     working = candidates if how.working is None else how.working
     with one_thread():

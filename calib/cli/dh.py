@@ -34,6 +34,8 @@ def dh(
         raise JobError(f"{source} to {out}: one must end in .csv, the DH table, and the other in .urdf.")
     refuse_taken(out)
     if out.suffix.lower() == ".urdf":
+        if tip is not None or base is not None:
+            raise JobError(f"{source}: a DH table names no links, so that --tip and --base are left out.")
         table = dh_of.read_dh(source, convention)
         write_new(out, dh_of.dh_to_urdf(table, out.stem))
     else:

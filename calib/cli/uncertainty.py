@@ -32,9 +32,10 @@ def uncertainty(
     with loading():
         from calib.foundations.files import refuse_taken, write_new
         from calib.machine.model_file import load_machine
-        from calib.machine.tool_uncertainty import uncertainty_map
+        from calib.machine.tool_uncertainty import outside_identified, uncertainty_map
         from calib.machine.uncertainty import rms_by_cause
         from calib.presentation.acceptance_tables import map_csv, map_sheet
+        from calib.presentation.console import warning
         from calib.presentation.sheets import budget_sheet
     refuse_taken(out)
     with telling.progress(steps=1) as say:
@@ -47,11 +48,21 @@ def uncertainty(
             progress=lambda done, of: say(f"{done} of {of} poses"),
         )
     budget = rms_by_cause(found.budget)
+    # What geometry leaves out is counted everywhere; of joint terms, whether they are the right ones is not.
+    outside = outside_identified(machine, found.readings) if machine.robot.terms else ()
+    if outside:
+        outside = (*outside, "There the uncertainty holds only if the machine's joint terms are the right ones.")
     if out is not None:
         write_new(out, map_csv(found, machine.robot.readings))
     telling.tell(
-        lambda: {"sigmas": found.percentiles(), "known": found.known_shares(), "budget": budget},
+        lambda: {
+            "sigmas": found.percentiles(),
+            "known": found.known_shares(),
+            "budget": budget,
+            "outside": list(outside),
+        },
         lambda: [
+            *map(warning, outside),
             map_sheet(found, found.known),
             budget_sheet(budget, len(found.readings)),
             *([] if out is None else [f"Every pose is in {out}."]),

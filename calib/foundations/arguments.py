@@ -168,7 +168,7 @@ def _elements(value: Any) -> list[Any] | None:
         return None
     try:
         return list(value)
-    except TypeError:  # an array without dimensions
+    except (TypeError, NotImplementedError):  # an array without dimensions, a view of memory with several
         return None
 
 

@@ -66,7 +66,7 @@ def csv_text(rows: Iterable[Iterable[object]]) -> str:
 
 def csv_cell(value: object) -> str:
     """Return one cell of :func:`csv_text`."""
-    if isinstance(value, str) and NUMBER.fullmatch(value):  # most cells: no formula, and nothing to quote
+    if isinstance(value, str) and (not value or NUMBER.fullmatch(value)):  # most: no formula, and nothing to quote
         return value
     text = _defused(value) if isinstance(value, str) else str(value)
     return '"' + text.replace('"', '""') + '"' if _TO_QUOTE.search(text) or text != text.strip() else text

@@ -16,7 +16,7 @@ solution to the general problem of multiple station analytical stereotriangulati
 Heads are kept, and not inverted, until priors are added: what a block leaves open flows back into the rest then.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -142,23 +142,30 @@ class Collected:
 
     def _folded(self, rows: Array, place: IntArray) -> list[Array]:
         """Take rows (n, d, a + c + 1) into the heads of their blocks, and return what is left."""
-        order = np.argsort(place, kind="stable")
-        there, counts = np.unique(place, return_counts=True)
-        starts = np.cumsum(counts) - counts
         left = []
-        # Blocks with about as many rows go together.
-        for size in np.unique(np.frexp(counts - 0.5)[1]):
-            these = np.flatnonzero(np.frexp(counts - 0.5)[1] == size)
-            n, w = counts[these], rows.shape[2]
-            stacked = np.zeros((len(these), int(n.max()), rows.shape[1], w))
-            seat = np.repeat(np.arange(len(these)), n)
-            nth = np.arange(int(n.sum())) - np.repeat(np.cumsum(n) - n, n)
-            stacked[seat, nth] = rows[order[np.repeat(starts[these], n) + nth]]
-            both = np.concatenate([self.heads.rows[there[these]], stacked.reshape(len(these), -1, w)], axis=1)
-            turn(both, self._a)
-            self.heads.rows[there[these]] = both[:, : self._a]
+        for these, of in alike(place):
+            own = rows[of]
+            own[of < 0] = 0.0
+            both = np.concatenate([self.heads.rows[these], own.reshape(len(these), -1, rows.shape[2])], axis=1)
+            if both.shape[1] > both.shape[2]:
+                both = linear.triangle(both)
+            else:
+                turn(both, self._a)
+            self.heads.rows[these] = both[:, : self._a]
             left.append(both[:, self._a :, self._a :])
         return left
+
+
+def alike(number: IntArray) -> Iterator[tuple[IntArray, IntArray]]:
+    """Yield numbers (k,) that about as many of all ``number`` (n,) are, and where these are (k, h); -1 for no more."""
+    order = np.argsort(number, kind="stable")
+    there, counts = np.unique(number, return_counts=True)
+    starts, sizes = np.cumsum(counts) - counts, np.frexp(counts - 0.5)[1]
+    for size in np.unique(sizes):
+        these = np.flatnonzero(sizes == size)
+        nth = np.arange(int(counts[these].max()))
+        inside = nth < counts[these, None]
+        yield there[these], np.where(inside, order[np.where(inside, starts[these, None] + nth, 0)], -1)
 
 
 def turn(blocks: Array, a: int) -> None:

@@ -1,9 +1,9 @@
 """Identification: measurements in, parameters with their doubts out."""
 
 import fnmatch
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -35,6 +35,8 @@ from calib.robot.robot import Deviations
 
 # Searches from where anchors are elsewhere, at most: each time fewer are.
 _MOST_TURNS = 3
+# Frames of the nominal robot where an earlier fit has them, or as they begin.
+Placed = Literal["fitted", "begun"]
 # Rows that err together are weighed anew so often, until their common variance stays within that, as a logarithm.
 _MOST_WEIGHINGS, _SAME_WEIGHING = 4, 0.02
 
@@ -74,15 +76,27 @@ def identify_alike(
     *,
     start: Fit | None = None,
     together: tuple[Together | None, ...] | None = None,
+    placed: Placed | None = None,
 ) -> Fit:
     """Identify again what is free, from as many sets, with the weights of a fit: how its rows err together is kept.
 
     Fits that are to be compared weigh rows alike; a model that explains less would call its own errors common ones.
-    ``together``: of these rows, where they are others than those of the fit.
+    ``together``: of these rows, where they are others than those of the fit. ``placed``: frames of the nominal robot
+    are not sought by a fit of their own; they begin where the fit found them ("fitted"), or in closed form ("begun").
     """
-    kept = fit.together if together is None else together
+    kept, model = fit.together if together is None else together, fit.model.within(measurements)
     with one_thread():
-        return _identify(fit.model.within(measurements), measurements, free, start, "nearest", None, fit.losses, kept)
+        return _identify(
+            model,
+            measurements,
+            free,
+            start,
+            "nearest",
+            None,
+            fit.losses,
+            kept,
+            placed=None if placed is None else (placed, fit),
+        )
 
 
 def identify_near(
@@ -112,6 +126,7 @@ def _identify(
     losses: Sequence[Loss] | None,
     together: tuple[Together | None, ...] | None = None,
     near: Fit | None = None,
+    placed: tuple[Placed, Fit] | None = None,
 ) -> Fit:
     refuse_other(null_space, ("nearest", "minimal", "refuse"), "null_space")
     whole = initial_problem(model, (measurements,) if isinstance(measurements, Measurements) else tuple(measurements))
@@ -121,13 +136,13 @@ def _identify(
     variances = _stated(model_sigmas)
     if near is not None:
         whole = replace(whole, reference=_frames_of(near.nominal.frames, near, whole.reference, sets[0]))
+    elif placed is not None and placed[0] == "fitted":
+        whole = replace(whole, reference=_places_of(placed[1], whole.reference, sets[0]))
     _refuse_losses(losses, sets)
     if losses is not None:  # of the nominal robot as well: else rows that lie off would make it look worse than it is
         whole = replace(whole, given_losses=tuple(losses))
     before = replace(whole, parameters=tuple(p for p in whole.parameters if not p.of_robot))
-    x0 = values_at(model.robot, before.parameters, whole.reference)
-    fitted = not before.parameters or (is_fit(sets) and not before.robust) or near is not None
-    nominal = before.machine(x0 if fitted else _placed(before, x0, variances))
+    nominal = _nominal(before, variances, near, placed)
 
     reference, deviations = _beginning(begin, sets[0], nominal.frames)
     problem = replace(whole, parameters=parameters, reference=reference, held=deviations)
@@ -259,6 +274,17 @@ def _of_set(problem: Problem, data: Measurements, at: Machine, units: Array, kno
     return Together.of(*told, number, rows.by_twist, np.sqrt(data.sigma**2 + told[2]))
 
 
+def _nominal(
+    before: Problem, variances: Sequence[float | None] | None, near: Fit | None, placed: tuple[Placed, Fit] | None
+) -> Machine:
+    """Return the nominal robot with frames and lenses as it explains the rows best, or as they are said to be."""
+    x0 = values_at(before.model.robot, before.parameters, before.reference)
+    if placed is not None:
+        return before.machine(x0 if placed[0] == "begun" else _known(_nominal_values(placed[1]), before, x0))
+    fitted = not before.parameters or (is_fit(before.measurements) and not before.robust) or near is not None
+    return before.machine(x0 if fitted else _placed(before, x0, variances))
+
+
 def _placed(before: Problem, x0: Array, variances: Sequence[float | None] | None) -> Array:
     """Return values (p,) of frames and lenses for the nominal robot; x0 where a search has only gone away from it."""
     found = _with_anchors(before, solve(before, x0, variances), variances)
@@ -330,11 +356,21 @@ def _refuse_nowhere(sets: Sequence[Measurements], machine: Machine) -> None:
 
 def _near(fit: Fit, problem: Problem, x0: Array) -> Near:
     """Return where a fit of the same machine has the minimum of a problem; what it does not know is as at x0 (p,)."""
-    known = dict(zip((parameter.name for parameter in fit.parameters), fit.values, strict=True))
-    x = np.array([known.get(parameter.name, at) for parameter, at in zip(problem.parameters, x0, strict=True)])
+    x = _known(dict(zip((parameter.name for parameter in fit.parameters), fit.values, strict=True)), problem, x0)
     sets = [data.where for data in fit.measurements]
     own = dict(zip([(sets[noise.measurements], noise.quantity) for noise in fit.noise], fit.variances, strict=True))
     return Near(x, [own[problem.measurements[c.measurements].where, c.quantity] for c in problem.components])
+
+
+def _nominal_values(fit: Fit) -> dict[str, float]:
+    """Return the values of a fit's parameters for the nominal robot, by their names."""
+    values = values_at(fit.model.robot, fit.parameters, fit.nominal.frames)
+    return {parameter.name: float(value) for parameter, value in zip(fit.parameters, values, strict=True)}
+
+
+def _known(values: Mapping[str, float], problem: Problem, x0: Array) -> Array:
+    """Return the values (p,) of a problem's parameters that are known by name; others as at x0 (p,)."""
+    return np.array([values.get(parameter.name, at) for parameter, at in zip(problem.parameters, x0, strict=True)])
 
 
 def _beginning(begin: Fit | None, names: Measurements, frames: Frames) -> tuple[Frames, Deviations | None]:
@@ -359,6 +395,14 @@ def _frames_of(old: Frames, fit: Fit, frames: Frames, names: Measurements) -> Fr
         taken(frames.targets, names.targets, old.targets, known.targets),
         taken(frames.scalars, names.scalars, old.scalars, known.scalars),
     )
+
+
+def _places_of(fit: Fit, frames: Frames, names: Measurements) -> Frames:
+    """Return frames with the places of base, tools and targets that a fit has for the nominal robot.
+
+    Numbers are not taken: one that is held, of a lens or a print, is as it was given.
+    """
+    return replace(_frames_of(fit.nominal.frames, fit, frames, names), scalars=frames.scalars)
 
 
 def _common_rank(found: Solution) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
-from calib.identification.initialisation.resection import camera_pose, rays
+from calib.identification.initialisation.resection import camera_poses, rays
 from calib.measurement.boards import places_of
 from calib.measurement.lens import FOCAL, NAMES, Lens
 from calib.measurement.optics import MODE_WIDTH, lens_width
@@ -113,15 +113,14 @@ def _homography(photograph: Photograph, centre: Array, unit: float) -> Array | N
 
 def poses_of(photographs: Sequence[Photograph], optics: Optics) -> tuple[Array, BoolArray]:
     """Return poses (m, 4, 4) of the board in the camera for given optics, and which photographs (m,) tell one."""
-    poses, found = np.tile(np.eye(4), (len(photographs), 1, 1)), np.zeros(len(photographs), dtype=np.bool_)
-    values = np.concatenate([[0.0], optics.shape])
-    for k, photograph in enumerate(photographs):
-        flat, seen = undistort(optics.lens, photograph.pixels)
-        marks = places_of(photograph.marks, photograph.modes, values)[0]
-        pose = camera_pose(marks[seen], rays(flat[seen]))
-        if pose is not None:
-            poses[k], found[k] = rigid.inverse(pose), True
-    return poses, found
+    if not photographs:
+        return np.zeros((0, 4, 4)), np.zeros(0, dtype=np.bool_)
+    stack = _Stack.of(photographs)
+    flat, seen = undistort(optics.lens, stack.pixels)
+    marks = places_of(stack.marks, stack.modes, np.concatenate([[0.0], optics.shape]))[0]
+    ends = np.cumsum(np.bincount(stack.photograph[seen], minlength=len(photographs)))[:-1]
+    cameras, found = camera_poses(np.split(marks[seen], ends), np.split(rays(flat[seen]), ends))
+    return rigid.inverse(cameras), found
 
 
 def fit(

@@ -5,24 +5,25 @@ has the same cost, gradient and Gauss-Newton matrix as the full system. It is ac
 memory does not grow with rows times parameters.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, fields
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations import rigid
+from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import PoseError
-from calib.identification.arrow import Arrow, Collected, Heads, Part, Split, gathered
+from calib.identification.arrow import Arrow, Collected, Heads, Part, Split, alike, gathered
 from calib.identification.elimination import Things, split_of
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Layout, Machine, States
 from calib.identification.observations import observe
+from calib.identification.observations.pixels import Photographed, of_photographs, photographed
 from calib.identification.observations.seen import Linearised, Moved, Seen
 from calib.identification.parameters import Parameter, scales
 from calib.identification.relations import Relation, relate
@@ -36,6 +37,10 @@ from calib.robot.robot import Deviations, Nominals, Robot, TipModel, TipMotion
 
 # Measured numbers in a block: so many that a call costs little beside them, few enough that memory does not grow.
 BLOCK = 3072
+# Photographs with fewer marks, on average, are evaluated mark by mark.
+_FEW_MARKS = 3
+# Photographs take so much less memory than their rows.
+_FOLDED = 4
 
 
 class Component(NamedTuple):
@@ -99,6 +104,13 @@ class Problem:
     def motions(self) -> Motions | None:
         """How the whole set-up may move with no effect on what is measured."""
         return motions(self.measurements, self.model.targets, self.relations, self.reference.base[:3, 3])
+
+    @cached_property
+    def photographs(self) -> tuple[IntArray | None, ...]:
+        """The photograph (N,) of every row of each set; None where rows have to be evaluated one by one."""
+        if self.motions is not None or self.model.robot.loops:
+            return (None,) * len(self.measurements)
+        return tuple(_photographs(data) for data in self.measurements)
 
     @cached_property
     def split(self) -> Split:
@@ -245,7 +257,12 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array, given: Split |
     for i, (data, sigma) in enumerate(zip(problem.measurements, sigmas, strict=True)):
         left = np.empty(data.sigma.shape)
         of_set = [(collected[k], component.columns) for k, component in components if component.measurements == i]
-        for block in rates.blocks(data):
+        number, folded = problem.photographs[i], partial(_folded, problem, i, sigma, left)
+        for block in () if number is None else rates.photographs(data, number, folded):
+            rows = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
+            for own, _ in of_set:  # of pixels there is one
+                own.add(rows, block.own, block.block)
+        for block in rates.blocks(data) if number is None else ():
             residual, s = block.observed.residual, sigma[block.rows, :, None]
             whitened = problem.whitened(i, block.rows, np.concatenate([block.J, residual[:, :, None]], axis=2) / s)
             left[block.rows] = whitened[:, :, -1] * s[:, :, 0] if problem.together else residual
@@ -258,6 +275,34 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array, given: Split |
     related, set_up_motions = _of_the_whole(problem, rates, at, whole)
     triangles, heads = tuple(own.rest for own in collected), tuple(own.heads for own in collected)
     return Evaluation(tuple(found), triangles, related, set_up_motions, heads, split)
+
+
+def _folded(
+    problem: Problem, i: int, sigma: Array, left: Array, rows: slice, number: IntArray, seen: Photographed
+) -> tuple[Array, Array, dict[str, Array]]:
+    """Return rows of set i, whitened by ``sigma`` (N, d), as so few numbers of each photograph as say the same.
+
+    All marks of a photograph follow one motion of the camera to the board, and the scalars: of their rows, turned by
+    an orthogonal matrix, only as many see anything. ``number`` (n,): the photograph of each. Residuals (m, k), and
+    derivatives by the camera (m, k, 6) and by scalars (m, k) each are returned. Into ``left`` (N, d) go residuals, as
+    :class:`Evaluation` has them.
+    """
+    s, count = sigma[rows, :, None], len(seen.scalars)
+    columns = [
+        seen.by_camera,
+        *(by_scalar[:, :, None] for by_scalar in seen.scalars.values()),
+        seen.residual[:, :, None],
+    ]
+    whitened = problem.whitened(i, rows, np.concatenate(columns, axis=2) / s)
+    left[rows] = whitened[:, :, -1] * s[:, :, 0] if problem.together else seen.residual
+    marks = np.bincount(number)
+    found = np.zeros((len(marks), min(7 + count, 2 * int(marks.max())), 7 + count))
+    for those, of in alike(number):
+        own = whitened[of]
+        own[of < 0] = 0.0
+        turned = linear.triangle(own.reshape(len(those), -1, 7 + count))
+        found[those, : turned.shape[1]] = turned
+    return found[:, :, -1], found[:, :, :6], {role: found[:, :, 6 + k] for k, role in enumerate(seen.scalars)}
 
 
 def without_rows(problem: Problem, sigmas: Sequence[Array], x: Array) -> tuple[Array, Array]:
@@ -361,10 +406,14 @@ class _Links(dict[str, TipModel]):
         return found
 
 
-def _blocks(data: Measurements) -> Iterator[slice]:
-    """Yield the rows of a set, few enough at a time; what a camera sees in one photograph is not parted."""
-    size, start = BLOCK // data.sigma.shape[1], 0
-    cuts = _between_photographs(data) if data.kind == "pixels" and len(data) > size else None
+def _blocks(data: Measurements, number: IntArray | None = None) -> Iterator[slice]:
+    """Yield the rows of a set, few enough at a time; what a camera sees in one photograph is not parted.
+
+    ``number`` (N,): the photograph of each row, where it is known.
+    """
+    size, start = (BLOCK if number is None else _FOLDED * BLOCK) // data.sigma.shape[1], 0
+    parted = data.kind == "pixels" and len(data) > size
+    cuts = _between(photograph_numbers(data) if number is None else number) if parted else None
     while start < len(data):
         end = min(start + size, len(data))
         if cuts is not None:
@@ -375,9 +424,8 @@ def _blocks(data: Measurements) -> Iterator[slice]:
         start = end
 
 
-def _between_photographs(data: Measurements) -> IntArray:
-    """Return the numbers of rows before which no photograph has begun that goes on, the end being one."""
-    number = photograph_numbers(data)
+def _between(number: IntArray) -> IntArray:
+    """Return the numbers of rows before which no photograph (N,) has begun that goes on, the end being one."""
     last = np.zeros(int(number.max(initial=0)) + 1, dtype=np.intp)
     last[number] = np.arange(len(number))
     until = np.maximum.accumulate(last[number])
@@ -387,7 +435,23 @@ def _between_photographs(data: Measurements) -> IntArray:
 def photograph_numbers(data: Measurements) -> IntArray:
     """Return the photograph (N,) of every row: rows of one target and tool with the same readings."""
     at = np.column_stack([data.readings, data.tool, data.setup, data.target])
-    return np.asarray(np.unique(at, axis=0, return_inverse=True)[1].ravel(), dtype=np.intp)
+    # Most follow each other, and of these the first says all.
+    first = np.append(True, np.any(at[1:] != at[:-1], axis=1))[: len(at)]
+    number = np.unique(at[first], axis=0, return_inverse=True)[1].ravel()
+    return np.asarray(number[np.cumsum(first) - 1], dtype=np.intp)
+
+
+def _photographs(data: Measurements) -> IntArray | None:
+    """Return the photograph (N,) of every row; None of other kinds, and where rows have little in common."""
+    if data.kind != "pixels" or data.stream is not None or data.points is not None or not data.of_boards:
+        return None
+    number = photograph_numbers(data)
+    _, first = np.unique(number, return_index=True)
+    if len(number) < _FEW_MARKS * len(first):
+        return None
+    told = [getattr(data.conditions, one.name) for one in fields(data.conditions)]
+    alike = all(one is None or np.array_equal(one, one[first[number]], equal_nan=True) for one in told)
+    return number if alike else None
 
 
 def _one_or_all(numbers: IntArray) -> IntArray | int:
@@ -396,12 +460,12 @@ def _one_or_all(numbers: IntArray) -> IntArray | int:
     return numbers if np.count_nonzero(numbers != first) else first
 
 
-def _setups(data: Measurements, rows: slice) -> IntArray | int:
+def _setups(data: Measurements, rows: slice | IntArray) -> IntArray | int:
     """Return the set-ups (n,) of rows, or the one of all; where some look at links, what is seen from is of each."""
     return data.setup[rows] if data.target_links else _one_or_all(data.setup[rows])
 
 
-def _on_links(data: Measurements, rows: slice) -> Iterator[tuple[str, IntArray]]:
+def _on_links(data: Measurements, rows: slice | IntArray) -> Iterator[tuple[str, IntArray]]:
     """Yield the links that carry targets of some rows, with the numbers of these among them."""
     if not data.target_links:
         return
@@ -432,9 +496,12 @@ def _observe(
     """
     targets = frames.targets[data.target[rows] if data.kind in WITH_TARGET else slice(0)]
     ends = [rigid.product(base, T) for T in (held, others) if T is not None]
-    scalars = {role: float(frames.scalars[k]) for role, k in data.uses.items() if role not in SHIFTS}
     other = ends[1] if others is not None else frames.targets[:0]
-    return observe(data.kind, Seen(data, rows, ends[0], other, targets, scalars)), tuple(ends)
+    return observe(data.kind, Seen(data, rows, ends[0], other, targets, _scalars(data, frames))), tuple(ends)
+
+
+def _scalars(data: Measurements, frames: Frames) -> dict[str, float]:
+    return {role: float(frames.scalars[k]) for role, k in data.uses.items() if role not in SHIFTS}
 
 
 def _held(carried: Regressor, tools: Array, tool: IntArray | int, points: Array | None, rows: slice) -> Array:
@@ -537,6 +604,10 @@ class Selection:
         self.of_scalars = followed(layout.scalars, layout.size)
 
 
+# Of some rows, the photograph of each and what was seen: numbers of photographs, as few as say the same.
+_Folding = Callable[[slice, IntArray, Photographed], tuple[Array, Array, dict[str, Array]]]
+
+
 class Rates:
     """How frames follow the parameters at a machine, for ``units`` (p,) of each: the same for all sets.
 
@@ -573,6 +644,46 @@ class Rates:
         """Return the blocks (k,) that rows of a set are about."""
         found = np.unique([] if (whose := self.whose(data)) is None else whose).astype(np.intp)
         return np.asarray(found[found >= 0])
+
+    def photographs(self, data: Measurements, number: IntArray, folded: _Folding) -> Iterator[Block]:
+        """Yield the photographs of one set as :meth:`blocks` does rows, what is seen in each ``folded`` into a few.
+
+        ``number`` (N,): the photograph of every row. Where the robot stood is computed once for each.
+        """
+        frames, tip, whose, c = self._frames, self._links[data.tip], self.whose(data), self._selection.common
+        for rows in _blocks(data, number):
+            _, first, own = np.unique(number[rows], return_index=True, return_inverse=True)
+            at = np.asarray(first + rows.start, dtype=np.intp)
+            setups, tool, target = _setups(data, at), _one_or_all(data.tool[at]), data.target[at]
+            base, group, told = np.asarray(frames.bases[setups]), setups, data.conditions.subset(at)
+            motion = tip.motion(data.readings[at], told)
+            seats = [
+                (link, on, self._links[link].motion(data.readings[at[on]], told.subset(on)))
+                for link, on in _on_links(data, at)
+            ]
+            if seats:
+                group = np.array(setups)
+                for _, on, seat in seats:
+                    base[on], group[on] = rigid.inverse(seat.placement), len(frames.bases)
+            held = _held(motion.tip, frames.tools, tool, None, rows)
+            tools, targets = rigid.product(base, held), frames.targets[target]
+            seen = Seen(data, rows, tools, targets[:0], targets, _scalars(data, frames))
+            observed = of_photographs(seen, *folded(rows, own, photographed(seen, own)))
+            in_base = [follow.seen_from(base[..., :3, :3]) for follow in observed.tool]
+            J = self._through_robot(data.tip, in_base, motion, held, tool, group)
+            for link, on, seat in seats:
+                back = [follow.of(on).negative() for follow in in_base]
+                J[on] += self._through_robot(link, back, seat, held[on], -1, len(frames.bases))
+            self._complete(J, data, observed, target)
+            by_own, block = (None, None) if whose is None else (J[:, :, c:], whose[at])
+            yield Block(rows, observed, J[:, :, :c], by_own, block, (Moved(observed.tool, tools),), ())
+
+    def _complete(self, J: Array, data: Measurements, observed: Linearised, target: IntArray) -> None:
+        """Add to derivatives (n, d, c + a) what comes through targets (n,) and scalars."""
+        if observed.target is not None:
+            self._of_targets.add(observed.target.transpose(2, 1, 0), target, J.transpose(1, 0, 2))
+        for role, by_scalar in observed.scalars.items():
+            J += by_scalar[:, :, None] * self._selection.of_scalars[data.uses[role]]
 
     def blocks(self, data: Measurements) -> Iterator[Block]:
         """Yield the rows of one set, block by block."""
@@ -613,10 +724,7 @@ class Rates:
                 back = [follow.of(own).negative() for follow in in_base]
                 then = None if clock is None else (readings[own], clock.subset(own))
                 J[own] += self._through_robot(link, back, seat, held[own], -1, none, then)
-            if observed.target is not None:
-                self._of_targets.add(observed.target.transpose(2, 1, 0), data.target[rows], J.transpose(1, 0, 2))
-            for role, by_scalar in observed.scalars.items():
-                J += by_scalar[:, :, None] * self._selection.of_scalars[data.uses[role]]
+            self._complete(J, data, observed, data.target[rows])
             on_floor: IntArray | slice = np.flatnonzero(group < none) if seats else slice(None)
             grounds = ((None, on_floor), *((link, these) for link, these, _ in seats))
             by_own, block = (None, None) if whose is None else (J[:, :, c:], whose[rows])

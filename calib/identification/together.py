@@ -181,23 +181,23 @@ def likeliest(
 
 def _heads(number: IntArray, rows: PhotographRows, sigma: Array, split: Split) -> tuple[_Heads, int]:
     """Return the heads of photographs with more numbers than a twist, and how many numbers no twist moves."""
-    Rs, heads, blocks, rest = [], [], [], []
+    Rs, heads, blocks, rest, count = [], [], [], [], 0
     for _, own in _photographs(number):
         s = sigma[own][:, :, None]
-        U = (rows.by_twist[own] / s).reshape(-1, 6)
-        if len(U) <= 6:
+        columns = [rows.by_twist[own], rows.own[own], rows.J[own], rows.residual[own][:, :, None]]
+        whole = (np.concatenate(columns, axis=2) / s).reshape(s.size, -1)
+        if len(whole) <= 6:
             continue
-        of = np.concatenate([rows.own[own], rows.J[own], rows.residual[own][:, :, None]], axis=2) / s
-        Q, R = np.linalg.qr(U, mode="complete")
-        turned = Q.T @ of.reshape(len(U), -1)
-        Rs.append(R[:6])
-        heads.append(turned[:6])
+        turned = triangle(whole)
+        Rs.append(turned[:6, :6])
+        heads.append(turned[:6, 6:])
         blocks.append(rows.block[own[0]])
-        rest.append(turned[6:])
+        rest.append(turned[6:, 6:])
+        count += len(whole) - 6
     block = np.array(blocks, dtype=np.intp)
     if not Rs:
         return _Heads(np.zeros((0, 6, 6)), np.zeros((0, 6, 0)), block, _reduced(split, [], block)), 0
-    return _Heads(np.array(Rs), np.array(heads), block, _reduced(split, rest, block)), sum(map(len, rest))
+    return _Heads(np.array(Rs), np.array(heads), block, _reduced(split, rest, block)), count
 
 
 def _reduced(split: Split, rows: Sequence[Array], block: IntArray) -> Part:

@@ -22,7 +22,7 @@ from calib.foundations.json_text import NotJsonError, parse_json
 from calib.job.calibrate import calibrate
 from calib.job.read import Progress
 from calib.results.calibration import versions
-from calib.results.folder import ALWAYS, TO_BE_SEEN, read_result
+from calib.results.folder import ALWAYS, RESULT_FILE, TO_BE_SEEN, read_result
 from calib.robot.sources import EXAMPLE, resolve
 
 # How long a cluster may take to answer, and may be without any worker, in s.
@@ -87,6 +87,8 @@ def _refuse_fleet(out: Path) -> None:
     """Refuse a folder that is none, is read-only, or in which the summary would take the place of somebody's file."""
     real_folder(out)
     refuse_unwritable(out)
+    if os.path.lexists(out / RESULT_FILE):
+        raise OutputError(f"{out}: holds the results of one job, which nothing else may be in; choose another folder.")
     there = [name for name in SUMMARIES if os.path.lexists(out / name)]
     if there and not _is_summary(out / SUMMARY_JSON):
         raise OutputError(f"{out / there[0]}: is no summary of a fleet, and would be replaced by one; choose a folder.")
@@ -213,7 +215,9 @@ def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[D
     """Run jobs over processes of this machine; what is given yields what has become of them, as they end."""
     import joblib  # noqa: PLC0415 - calib must not load it on import
 
-    count = joblib.cpu_count() if workers is None else workers
+    # All would be started, also those for which there is no job; two at least, or the job would run in this process.
+    wanted = joblib.cpu_count() if workers is None else workers
+    count = min(wanted, max(2, len(jobs)))
     started = {"initializer": _serve, "initargs": (os.getpid(),)}
 
     loky = joblib.parallel_config("loky", n_jobs=count, inner_max_num_threads=1, **started)

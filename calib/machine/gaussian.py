@@ -48,7 +48,7 @@ _VARIANCE = (1e-4, 1e3)
 _NOISE = (1e-6, 10.0)
 # The likelihood of errors that follow no joint is flat, and a search on it would not end for long: a thousandth of
 # a log likelihood of a thousand tells nothing apart.
-_ENOUGH = {"ftol": 1e-6, "maxiter": 60}
+_ENOUGH: Any = {"ftol": 1e-6, "maxiter": 60}
 # Scales, amplitude and noise show in so many rows as well as in all, at a fraction of the cost.
 _ROWS_FOR_SCALES = 600
 _FEWEST_ROWS = 10
@@ -208,11 +208,12 @@ def likeliest_kernel(points: Array, errors: Array) -> Kernel:
     some = np.random.default_rng(0).permutation(len(points))[:_ROWS_FOR_SCALES]
     # In units of the errors' own size the same bounds fit every machine.
     unit = float(np.sqrt(np.mean(errors[some] ** 2))) or 1.0
-    scaled, bounds = errors[some] / unit, np.log([_VARIANCE, *[_SCALES] * points.shape[1], _NOISE])
+    scaled = errors[some] / unit
+    bounds = [tuple(map(float, np.log(two))) for two in (_VARIANCE, *[_SCALES] * points.shape[1], _NOISE)]
     found = []
     for scale in _STARTS:
         start = np.log([0.7, *[scale] * points.shape[1], 0.3])
-        best = minimize(
+        best: Any = minimize(  # type: ignore[call-overload]
             _unlikely, start, (points[some], scaled), method="L-BFGS-B", jac=True, bounds=bounds, options=_ENOUGH
         )
         found.append((float(best.fun), np.exp(best.x)))

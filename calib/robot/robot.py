@@ -366,7 +366,7 @@ class Robot:
         return TipModel(self, deviations).motion(self.own(readings), conditions)
 
     def own(self, readings: Array) -> Array:
-        """Return readings (N, nr) as they are.
+        """Return readings (N, nr) as they are, in double precision.
 
         Raises RobotError when they have not a column for each of this robot's, or one is not a number up to
         ``LARGEST_READING``.
@@ -376,6 +376,7 @@ class Robot:
             raise RobotError(
                 f"readings of shape {readings.shape}: needs (N, {len(self.readings)}), a column for each of {names}."
             )
+        readings = np.asarray(readings, dtype=np.float64)
         for k, reading in enumerate(self.readings):
             # A comparison with nan is false.
             within = np.abs(readings[:, k]) <= LARGEST_READING

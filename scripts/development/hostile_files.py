@@ -22,12 +22,19 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.support import cameras, machines
 
 ROOT = Path(__file__).resolve().parents[2]
+Floats = NDArray[np.float64]
 CASE = ROOT / "robots" / "arm_cmm"
 SIZES = (20_000, 150_000, 990_000)
 SECONDS = 10.0
@@ -642,6 +649,130 @@ def _recording(folder: Path, size: int) -> None:
     (folder / "one.bag").write_bytes(b"#ROSBAG V2.0\n" + b"\xff\xff\xff\xff" * (size // 4))
 
 
+# Of jobs of photographs with one thing wrong. ----------------------------------------------------------------------
+
+_LENS = "".join(f'{name} = "{cameras.BENT[name]} px"\n' for name in ("fx", "fy", "cx", "cy")) + "".join(
+    f"{name} = {cameras.BENT[name]}\n" for name in ("k1", "k2", "p1", "p2", "k3")
+)
+_SEEN = """schema = 1
+[robot]
+urdf = "{urdf}"
+tip = "{tip}"
+[error_model]
+offsets = "all"
+placements = "all"
+base = "fixed"
+tool = "pose"
+[instruments.camera]
+kind = "camera"
+camera_on = "{camera_on}"
+{lens}
+[[measurements]]
+file = "marks.csv"
+observes = "pixels"
+instrument = "camera"
+hold_out = 0.25
+"""
+_Change = Callable[[Floats, np.random.Generator], Floats]
+# Columns of a table of marks: readings of six joints, a pixel, a place on the board.
+_READINGS, _PIXELS, _PLACES = slice(0, 6), slice(6, 8), slice(8, 11)
+
+
+@cache
+def _seen(photographs: int, side: int) -> tuple[tuple[str, ...], Floats]:
+    """Titles and rows of a sound table of marks, a square of so many by side in each, found to 0.1 px."""
+    rng = np.random.default_rng(11)
+    places = np.array([(x, y, 0.0) for x in np.linspace(0.0, 0.12, side) for y in np.linspace(0.0, 0.09, side)])
+    true = cameras.scene(rng, machines.arm(cameras.UR5, cameras.TIP), "tip", places)
+    columns = true.columns(true.draw(rng, photographs), rng, 0.1)
+    return tuple(columns), np.column_stack([np.asarray(values) for values in columns.values()])
+
+
+def _seen_wrongly(
+    change: _Change,
+    urdf: str = cameras.UR5,
+    camera_on: str = "tip",
+    side: int = 5,
+    lens: str = 'lens = "given"\n' + _LENS,
+    digits: int = 7,
+) -> Hostile:
+    """Fill a table of marks, (photographs, marks, columns), that ``change`` makes wrong."""
+
+    def write(folder: Path, size: int) -> None:
+        # As many photographs as there is room for.
+        titles, some = _seen(6, side)
+        row = len(",".join(f"{value:.{digits}f}" for value in some[0])) + 1
+        titles, table = _seen(max(size // (row * side**2), 6), side)
+        table = change(table.reshape(-1, side**2, len(titles)), np.random.default_rng(0)).reshape(table.shape)
+        lines = [",".join(titles), *(",".join(f"{value:.{digits}f}" for value in row) for row in table)]
+        (folder / "marks.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        job = _SEEN.format(urdf=urdf, tip=cameras.TIP, camera_on=camera_on, lens=lens)
+        (folder / "calibration.toml").write_text(job, encoding="utf-8")
+
+    return Hostile(write)
+
+
+def _changed(columns: slice, change: _Change) -> _Change:
+    def changed(table: Floats, rng: np.random.Generator) -> Floats:
+        table = table.copy()
+        table[..., columns] = change(table[..., columns], rng)
+        return table
+
+    return changed
+
+
+def _of_joint(joint: int, factor: float, offset: float) -> _Change:
+    def changed(readings: Floats, _: np.random.Generator) -> Floats:
+        now = readings.copy()
+        now[..., joint] = np.angle(np.exp(1j * (factor * now[..., joint] + offset)))  # within the limits
+        return now
+
+    return _changed(_READINGS, changed)
+
+
+def _same(table: Floats, _: np.random.Generator) -> Floats:
+    return table
+
+
+def _one_of_most(table: Floats, _: np.random.Generator) -> Floats:
+    """Say that the robot stood still for all but the last few photographs."""
+    table = table.copy()
+    table[:-20, :, _READINGS] = table[0, 0, _READINGS]
+    return table
+
+
+def _astray(pixels: Floats, rng: np.random.Generator) -> Floats:
+    pixels = pixels.copy()
+    pixels[:, 0] = rng.uniform(0.0, 1000.0, pixels[:, 0].shape)
+    return pixels
+
+
+_WRONG_PHOTOGRAPHS: dict[str, Hostile] = {
+    "photographs as they should be": _seen_wrongly(_same),
+    "photographs, no lens": _seen_wrongly(_same, lens='lens = "free"\nsize = [1280, 1024]\n'),
+    "photographs of four marks": _seen_wrongly(_same, side=2),
+    "photographs of 256 marks": _seen_wrongly(_same, side=16),
+    "photographs, one of most marks": _seen_wrongly(_one_of_most, side=3),
+    "photographs, short numbers": _seen_wrongly(_same, digits=2),
+    "photographs, a pixel astray in each": _seen_wrongly(_changed(_PIXELS, _astray)),
+    "a camera beside its arm": _seen_wrongly(_same, camera_on="floor"),
+    "photographs, other arm": _seen_wrongly(_same, urdf="example:ur_description/urdf/ur10_robot.urdf"),
+    "photographs, joints in other order": _seen_wrongly(_changed(_READINGS, lambda q, _: q[..., ::-1])),
+    "photographs, other readings": _seen_wrongly(_changed(_READINGS, lambda q, rng: rng.permutation(q))),
+    "photographs, one sign": _seen_wrongly(_of_joint(3, -1.0, 0.0)),
+    "photographs, all signs": _seen_wrongly(_changed(_READINGS, lambda q, _: -q)),
+    "photographs, degrees as radians": _seen_wrongly(_changed(_READINGS, lambda q, _: np.degrees(q))),
+    "photographs, a zero off by 90 deg": _seen_wrongly(_of_joint(2, 1.0, np.pi / 2.0)),
+    "photographs, a zero off by 5 mrad": _seen_wrongly(_of_joint(2, 1.0, 5e-3)),
+    "photographs, other marks": _seen_wrongly(
+        _changed(_PLACES, lambda marks, rng: np.stack([rng.permutation(m) for m in marks]))
+    ),
+    "photographs, board mirrored": _seen_wrongly(_changed(_PLACES, lambda marks, _: marks * [-1.0, 1.0, 1.0])),
+    "photographs, smaller images": _seen_wrongly(_changed(_PIXELS, lambda uv, _: uv / 4.0)),
+    "photographs, u and v changed": _seen_wrongly(_changed(_PIXELS, lambda uv, _: uv[..., ::-1])),
+}
+
+
 # Of others' files: kinematics, lenses, records, metadata, boards, acceptance tests. --------------------------------
 
 
@@ -1004,6 +1135,7 @@ HOSTILE: dict[str, Hostile] = {
     "packed grid": _packed("grid.npz", _COMPENSATE),
     "packed process": _packed("gaussian.npz", _COMPENSATE),
     **_OTHERS,
+    **_WRONG_PHOTOGRAPHS,
 }
 
 

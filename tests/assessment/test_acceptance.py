@@ -493,6 +493,22 @@ def test_uncertainty_over_the_workspace(case: Path, tmp_path: Path) -> None:
     assert contents["known"] == {"position": 1.0, "orientation": 0.0}
 
 
+def test_uncertainty_of_joint_terms_beyond_what_taught_them_is_told(case: Path, tmp_path: Path) -> None:
+    robot = machines.load(*UR10)
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-1.0, 1.0, (60, 6))
+    true = Machine(machines.arm(*UR10).moved(rng), anywhere(rng), {"tool": np.eye(4)})
+    data = true.measure(robot, q, rng=rng, sigma=2e-5)
+    model = calib.error_model(robot, offsets="all", placements="all", terms={"harmonics": ["elbow_joint"]})
+    calib.save(calib.assess(calib.identify(model, data)), tmp_path / "out")
+    whole = run("uncertainty", tmp_path / "out", "--samples", "20", "--whole")
+    assert "Warning: elbow_joint is outside the range it was identified in, " in whole.out
+    assert "only if the machine's joint terms are the right ones" in " ".join(whole.out.split())
+    # Where it was measured, and for geometry alone, there is nothing to say.
+    assert "Warning" not in run("uncertainty", tmp_path / "out", "--samples", "20").out
+    assert "Warning" not in run("uncertainty", case / "out", "--samples", "20", "--whole").out
+
+
 def test_compensate_warns_outside_the_identified_range(case: Path, tmp_path: Path) -> None:
     joints = [f"joint_{k}" for k in range(1, 7)]
     header = ",".join(f"{name} [deg]" for name in joints)

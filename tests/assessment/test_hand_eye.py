@@ -1,6 +1,7 @@
 """Hand-eye in words of others, and which cause is blamed, for cameras and boards of a known truth."""
 
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,12 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.assessment import blame as blaming
 from calib.assessment.blame import blame
 from calib.assessment.hand_eye import HandEye, hand_eyes, marks_and_pixels
 from calib.assessment.judged import JudgedSet
-from calib.identification.identify import residuals_of
+from calib.identification import identify as identification
+from calib.identification.identify import identify_alike, residuals_of
 from calib.measurement.boards import Board, shape_modes
 from calib.measurement.lens import NAMES
 from calib.measurement.optics import seen_by
@@ -190,6 +193,55 @@ def test_the_planted_cause_is_named(cause: str) -> None:
     assert [row.strong for row in section.blocks[1].rows].count(True) == (cause != "corners")
     shares = {one.name: one.tool for one in found.causes}
     assert max(shares.values()) <= found.tool
+
+
+@pytest.mark.parametrize("cause", ["scale", "arm"])
+def test_of_very_many_photographs_some_tell_the_cause(cause: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    fit, sets = planted(cause)
+    rows: list[int] = []
+
+    def seen(fit: calib.Fit, own: Sequence[calib.Measurements], *args: object, **options: object) -> calib.Fit:
+        rows.append(sum(map(len, own)))
+        return identify_alike(fit, own, *args, **options)
+
+    monkeypatch.setattr(blaming, "identify_alike", seen)
+    monkeypatch.setattr(blaming, "_ENOUGH", 10)
+    found = blame(fit, sets)
+    assert found is not None
+    assert found.named == cause
+    assert set(rows) == {9 * len(BOARD)}  # every second one of 18
+
+
+@pytest.mark.parametrize("times", [1.02, 1.5])
+def test_a_lens_of_other_images_is_told_from_the_photographs_by_themselves(times: float) -> None:
+    true = scene(np.random.default_rng(6), NOMINAL, "tip", sigma=SIGMA)
+    other = {name: BENT[name] / times for name in ("fx", "fy", "cx", "cy")}
+    given = replace(eye("tip", SIGMA), **other)
+    model = calib.error_model(ROBOT, offsets=["elbow_joint"], base="fixed", tool="pose")
+    found = blame(*judged(true, model, given, Board(marks=BOARD)))
+    assert found is not None
+    assert found.lens_is_wrong
+    assert found.left < 0.5 * found.whole
+    assert found.corners == pytest.approx(SIGMA * np.sqrt(2.0), rel=0.2)
+
+
+@pytest.mark.parametrize("cause", ["lens", "arm"])
+def test_frames_that_a_fit_has_found_are_not_sought_anew(cause: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor is a number taken with them: a lens and a print that are held stay as they were given."""
+    fit, sets = planted(cause)
+    bare = [
+        seen_by(data, replace(data.camera, free=()), Board(marks=BOARD, scale_sigma=0.0)) for data in fit.measurements
+    ]
+    free = ["tool.*", "*.offset"]
+    cold = identify_alike(fit, bare, free)
+    monkeypatch.setattr(identification, "_placed", None)
+    warm = identify_alike(fit, bare, free, placed="fitted")
+    np.testing.assert_array_equal(warm.machine.frames.scalars, cold.machine.frames.scalars)
+    np.testing.assert_array_equal(warm.nominal.frames.tools, fit.nominal.frames.tools)
+    np.testing.assert_allclose(warm.machine.frames.tools, cold.machine.frames.tools, atol=1e-7)
+    np.testing.assert_allclose(warm.machine.deviations.offsets, cold.machine.deviations.offsets, atol=1e-7)
+    np.testing.assert_allclose(warm.residuals[0], cold.residuals[0], atol=1e-3)
+    assert blame(fit, sets) is not None
 
 
 def test_a_lens_that_nobody_gave_is_no_cause_and_yet_leaves_the_tool_in_doubt() -> None:

@@ -123,6 +123,14 @@ def test_too_few_candidates() -> None:
         plan(calib.error_model(machines.load(*NAME), offsets="all"), 20, candidates=np.zeros((0, 6)))
 
 
+def test_candidates_of_zeros_and_ones_may_be_of_any_kind() -> None:
+    model = calib.error_model(machines.load(*NAME), offsets="all")
+    rng = np.random.default_rng(5)
+    corners = rng.uniform(size=(60, len(model.robot.readings))) > 0.5
+    found = plan(model, 10, candidates=corners)  # type: ignore[arg-type]
+    assert found.readings.tolist() == plan(model, 10, candidates=corners.astype(np.float64)).readings.tolist()
+
+
 # ---- the command
 
 

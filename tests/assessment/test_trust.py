@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.assessment.checks import of_arm, of_errors, of_rows
-from calib.assessment.effects import Timing, delay, gains, rounding, steps, strains, timing, wandering
+from calib.assessment.effects import Step, Timing, apart, delay, gains, rounding, steps, strains, timing, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check
 from calib.assessment.stretches import stretches
@@ -273,6 +273,23 @@ def test_what_is_elsewhere_in_all_rows_has_not_jumped(cell: Cell) -> None:
     assert (worst.what, worst.line) == (cell.robot.readings[2].name, data.lines[24])
     assert worst.size > of_rows.SIZE
     assert worst.chance < of_rows.RARELY
+
+
+def test_a_tool_that_is_stated_wrong_for_all_tables_sets_none_of_them_apart(cell: Cell) -> None:
+    known = calib.Known(tools={"tool": machines.pose((0.052, 0.019, 0.151))})
+    model = calib.error_model(cell.robot, offsets="all", placements="all", tool="fixed", known=known)
+
+    def told(*sets: calib.Measurements) -> tuple[Step, ...]:
+        residue = Residue.of(calib.identify(model, sets), {})
+        return apart(stretches(residue), residue.C)
+
+    one, other = (cell.measured(cell.draw(40)) for _ in range(2))
+    assert all(step.size < of_rows.SIZE or step.chance > of_rows.RARELY for step in told(one, other))
+    elsewhere = replace(cell.machine, tools={"tool": machines.pose((0.058, 0.02, 0.15))})
+    moved = elsewhere.measure(cell.robot, other.readings, rng=cell.rng, sigma=5e-5)
+    worst = told(one, moved)[0]
+    assert worst.what == "tool"
+    assert worst.size > of_rows.SIZE
 
 
 def test_sound_rows_show_no_effect(cell: Cell) -> None:

@@ -100,17 +100,17 @@ class Case:
         """Readings at which tools are at points (N, 3) in the instrument's frame, and which of them can be reached."""
         near = BEFORE[np.arange(len(points)) % 2, : len(self.robot.readings)]
         q = near + 0.2 * (self.draw(len(points)) - near)
-        told = self.conditions(q)
+        told, kept = self.conditions(q), np.arange(len(points))
         for _ in range(3 if self.draft.said == "order" else 1):
             found = for_poses(
                 self.truth, points, q, list(tools), frame="instrument", conditions=told, tolerance=(1e-8, 1e-6)
             )
             rows = np.flatnonzero(found.reached)
             q, points, tools = found.readings[rows], points[rows], [tools[k] for k in rows]
-            told = told.subset(rows)
+            told, kept = told.subset(rows), kept[rows]
             if self.draft.said == "order":
                 told = Conditions(in_order(q), told.temperature, told.torque)
-        return q, told, rows
+        return q, told, kept
 
     # ---- tables
 

@@ -83,6 +83,7 @@ def test_what_fits_is_taken(given: dict[str, Any]) -> None:
         ({"text": b"x"}, "text is b'x'; needs a text or a Path."),
         ({"names": None}, 'names is None; needs "all" or a list of texts.'),
         ({"names": ["a", None]}, "names is ['a', None]; needs \"all\" or a list of texts."),
+        ({"names": memoryview(np.zeros((2, 2)))}, 'names is a memoryview; needs "all" or a list of texts.'),
         ({"names": {"a": 1}}, 'names is a dict; needs "all" or a list of texts.'),
         ({"amounts": {"a": "x"}}, "amounts is a dict; needs a mapping of texts to numbers or None, or None."),
         ({"amounts": {1: 1.0}}, "amounts is a dict; needs a mapping of texts to numbers or None, or None."),

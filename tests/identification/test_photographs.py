@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.identification import photographs as bundle
+from calib.identification.initialisation.resection import camera_pose, camera_poses
 from calib.identification.photographs import Photograph
 from calib.measurement.boards import Board, shape_modes
 from calib.measurement.lens import BENT, CENTRE, FOCAL, Lens
@@ -125,3 +126,29 @@ def test_real_photographs_of_a_print_that_is_not_flat() -> None:
     assert squares["flat"] < 0.68
     assert squares["quadratic"] < 0.42
     assert squares["free"] < 0.20
+
+
+def test_poses_of_many_photographs_are_those_of_each_one() -> None:
+    """Of planes and of solids, of many marks and of few, one mark of some by far off; lines tell none, nor do three."""
+    rng = np.random.default_rng(2)
+    points, b, poses = [], [], []
+    for k in range(30):
+        n = (3, 5, 6, 20, 40)[k % 5]
+        places = rng.uniform(-0.1, 0.1, (n, 3)) * (1.0, k != 8, k % 2)
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = Rotation.random(rng=rng).as_matrix(), (0.02, -0.03, rng.uniform(0.4, 1.0))
+        seen = places @ T[:3, :3].T + T[:3, 3]
+        if k % 5 == 4:
+            seen[7] += (0.2, 0.1, 0.0)
+        middle = np.array([k, 0.0, -2.0])
+        points.append(places + middle)
+        b.append(seen / np.linalg.norm(seen, axis=1)[:, None])
+        T[:3, 3] -= T[:3, :3] @ middle
+        poses.append(np.linalg.inv(T))
+    found, told = camera_poses(points, b)
+    expected = [len(one) > 5 if k % 2 else len(one) > 3 and k != 8 for k, one in enumerate(points)]
+    np.testing.assert_array_equal(told, expected)
+    np.testing.assert_allclose(found[told], np.array(poses)[told], atol=1e-8)
+    alone = [camera_pose(*one) for one in zip(points, b, strict=True)]
+    assert [one is not None for one in alone] == expected
+    np.testing.assert_allclose([one for one in alone if one is not None], found[told], atol=1e-9)

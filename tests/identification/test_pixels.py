@@ -10,13 +10,17 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.foundations.errors import JobError, MeasurementError
-from calib.identification import targets
+from calib.identification import system, targets
+from calib.identification.arrow import Arrow
 from calib.identification.identify import residuals_of
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import Layout, values_at
 from calib.identification.observability import observability
-from calib.identification.system import Problem
+from calib.identification.parameters import scales
+from calib.identification.system import Problem, photograph_numbers, with_twists
 from calib.identification.targets import Target
+from calib.identification.together import Together
+from calib.measurement.boards import Board
 from tests.support import cameras, jacobians, machines
 from tests.support.cameras import BLOCK, BOARD, MARK, TIP, UR5, Array, Scene, scene
 
@@ -84,6 +88,50 @@ def test_noise_does_not_make_a_size_of_a_single_mark(camera_on: str) -> None:
     place, turn = relative(found, at)
     assert place < 0.01
     assert turn < 0.01
+
+
+@pytest.mark.parametrize("together", [False, True])
+@pytest.mark.parametrize(
+    ("camera_on", "link"), [("floor", None), ("tip", None), ("tip", "upper_arm_link"), ("floor", "shoulder_link")]
+)
+def test_photographs_say_what_their_marks_say(
+    camera_on: str, link: str | None, together: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows in any order, of many marks and of one, with lens and shape free, at a place that explains nothing.
+
+    ``link``: where the target is said to be, if not on the floor.
+    """
+    rng = np.random.default_rng(3)
+    true = scene(rng, NOMINAL, camera_on)
+    camera = replace(true.camera, free=("fx", "fy", "k1"))
+    data = cameras.photographed(ROBOT, true, 12, camera, Board(marks=BOARD, shape="quadratic"), rng, 0.3)
+    data = data.subset(rng.permutation(len(data))[:150])
+    robot = ROBOT if link is None else calib.load_robot(UR5, tip=TIP, links=[link])
+    model = calib.error_model(robot, offsets="all", placements="all", tool="pose")
+    problem = initial_problem(model, [data])
+    (own,) = problem.measurements
+    links = {} if link is None else dict.fromkeys(own.targets, link)
+    problem = replace(problem, measurements=(replace(own, target_links=links),))
+    x = values_at(robot, problem.parameters, problem.reference) + rng.uniform(-0.02, 0.02, len(problem.parameters))
+    sigmas = [rng.uniform(0.2, 0.5, data.sigma.shape)]
+    number = photograph_numbers(problem.measurements[0])
+    if together:
+        rows = with_twists(problem, problem.machine(x), problem.measurements[0], scales(problem.parameters))
+        problem = replace(problem, together=(Together.of(1e-4, 3e-4, 0.1, number, rows.by_twist, sigmas[0]),))
+    photographs = problem.evaluate(sigmas, x)
+    assert problem.photographs[0] is not None
+    monkeypatch.setattr(system, "_photographs", lambda _: None)
+    marks = replace(problem).evaluate(sigmas, x)
+    np.testing.assert_allclose(photographs.residuals[0], marks.residuals[0], atol=1e-9)
+    few, many = (_squares(one.rows.whole) for one in (photographs, marks))
+    np.testing.assert_allclose(few, many, rtol=1e-8, atol=1e-10 * np.abs(many).max())
+
+
+def _squares(rows: Arrow) -> Array:
+    """``[J r]^T [J r]``."""
+    r = np.concatenate([rows.heads[:, :, -1].ravel(), rows.rest[:, -1]])
+    both = np.column_stack([rows.moved(np.eye(rows.split.size)), r])
+    return both.T @ both
 
 
 @pytest.mark.parametrize("camera_on", ["floor", "tip"])

@@ -14,6 +14,7 @@ import time
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
+import joblib
 import psutil
 import pytest
 
@@ -165,7 +166,10 @@ def test_folders_that_cannot_take_a_summary(folder: Path, monkeypatch: pytest.Mo
     (folder / "mine").mkdir()
     (folder / "mine/summary.csv").write_text("mine")
     (folder / "file").write_text("mine")
+    (folder / "results").mkdir()
+    (folder / "results/result.json").write_text("{}")
     for out, why in (
+        ("results", "results: holds the results of one job, which nothing else may be in; choose another folder."),
         ("mine", "mine/summary.csv: is no summary of a fleet, and would be replaced by one; choose a folder."),
         ("file", "file: is a file, and the results need a folder."),
         ("x" * 300, f"{'x' * 300}: cannot hold the results (File name too long)."),
@@ -217,6 +221,21 @@ def test_a_job_whose_process_dies_is_told_and_the_others_go_on(monkeypatch: pyte
     monkeypatch.setattr(fleets, "_together", together)
     found = {done.job.name: done.failure for done in fleets._run(chosen)}
     assert found == {"a": None, "b": "b: its process died; the memory may not suffice.", "c": None, "d": None}
+
+
+def test_no_more_processes_are_started_than_there_are_jobs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    configured = joblib.parallel_config
+
+    def config(backend: str, n_jobs: int, **options: object) -> object:
+        asked.append(n_jobs)
+        return configured("threading", n_jobs=1)
+
+    monkeypatch.setattr(joblib, "parallel_config", config)
+    monkeypatch.setattr(fleets, "calibrate", lambda *_: 1 / 0)
+    for workers in (100_000, 2, 1):
+        list(run_fleet(fleet_jobs([Path("jobs/plain.toml")], Path("all")), workers=workers))
+    assert asked == [2, 2, 1]
 
 
 def test_a_fault_of_this_program_costs_its_job_alone(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -207,3 +207,10 @@ def test_readings_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
     for ask in (robot.tips, robot.joint_positions, robot.motion):
         with pytest.raises(RobotError, match=r"^readings of shape .*: needs \(N, 6\), a column for each of shou"):
             ask(np.zeros(shape))
+
+
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.int64, np.bool_])
+def test_readings_of_any_precision_are_reckoned_with_in_full(kind: type[np.generic]) -> None:
+    robot = load_robot("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+    given = np.array([[0, 1, 0, 1, 1, 0], [1, 0, 1, 0, 0, 1]]).astype(kind)
+    assert robot.tips(given).tolist() == robot.tips(given.astype(np.float64)).tolist()

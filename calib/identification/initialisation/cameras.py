@@ -20,7 +20,9 @@ from calib.identification.initialisation.carried import Carried
 from calib.identification.initialisation.resection import (
     camera_pose,
     camera_pose_and_point,
+    camera_poses,
     crossing,
+    medians,
     misses,
     not_outlying,
     rays,
@@ -163,18 +165,20 @@ def images_of(own: Sequence[TargetRows]) -> list[tuple[TargetRows, int, Array]]:
 
     Images that fit no pose by far as well as most of them are left out.
     """
-    found, missed = [], []
+    found: list[tuple[TargetRows, int, Array]] = []
+    missed: list[float] = []
     for sight in own if any(sight.data.of_boards for sight in own) else ():
-        b, places = sight.rays, sight.places
         # One image: the robot stood still, and one tool was there.
         at = np.column_stack([sight.data.readings[sight.rows], sight.tool])
         number = np.unique(at, axis=0, return_inverse=True)[1].ravel()
-        for image in range(int(number.max()) + 1):
-            rows = np.flatnonzero(number == image)
-            pose = camera_pose(places[rows], b[rows])
-            if pose is not None:
-                found.append((sight, int(rows[0]), pose))
-                missed.append(float(np.median(misses(pose, places[rows], b[rows]))))
+        order = np.argsort(number, kind="stable")
+        image, ends = number[order], np.cumsum(np.bincount(number)).tolist()
+        places, b = sight.places[order], sight.rays[order]
+        poses, told = camera_poses(*(np.split(part, ends[:-1]) for part in (places, b)))
+        off = medians(misses(poses[image], places, b), image, len(poses))
+        first = order[np.flatnonzero(np.diff(image, prepend=-1))]
+        found += [(sight, int(first[k]), poses[k]) for k in np.flatnonzero(told)]
+        missed += off[told].tolist()
     kept = not_outlying(np.array(missed)) if found else ()
     return [image for image, good in zip(found, kept, strict=True) if good]
 
