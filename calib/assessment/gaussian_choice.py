@@ -3,7 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
+from scipy.linalg import cholesky
+from scipy.linalg.lapack import dpotri
 
 from calib.assessment.validation import HeldOut, folds, held_out, one_standard_error
 from calib.foundations.arrays import Array, IntArray
@@ -52,11 +53,13 @@ def held_out_errors(kernel: Kernel, points: Array, errors: Array, fold: IntArray
     and Williams, for more rows than one).
     """
     with one_thread():
-        covariance = kernel.of_rows(points)
-        inverse = cho_solve((cholesky(covariance, lower=True), True), np.eye(len(covariance)))
+        # Each array is as large as all rows times all rows: where one is no longer needed, the next takes its place.
+        factor = cholesky(kernel.of_rows(points), lower=True, overwrite_a=True)
+        inverse, _ = dpotri(factor, lower=True, overwrite_c=True)
+        inverse += np.tril(inverse, -1).T
         weights = inverse @ errors
         left = np.empty_like(weights)
         for k in range(int(fold.max()) + 1):
             own = np.flatnonzero(fold == k)
             left[own] = np.linalg.solve(inverse[np.ix_(own, own)], weights[own])
-    return left
+    return np.asarray(left)

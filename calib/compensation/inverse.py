@@ -260,8 +260,10 @@ def _solve_block(model: CalibratedMachine, asked: Asked, how: How, effort: Effor
             why[n] = f"{_far(position[n], angle[n], seen.slope[n])}{short}"
     reached = np.array([not text for text in why], dtype=np.bool_) & near
     if how.residuals is not None:
-        for n in map(int, np.flatnonzero(reached)):
-            (why[n],) = how.residuals.outside(q[n : n + 1])
+        # All rows at once: each time a Gaussian process goes through a matrix of all its own rows.
+        arrived = np.flatnonzero(reached)
+        for n, said in zip(map(int, arrived), how.residuals.outside(q[arrived]), strict=True):
+            why[n] = said
             if why[n] and how.clamp:
                 why[n] += f"; {how.residuals.when_clamped}"
             reached[n] = how.clamp or not why[n]

@@ -42,7 +42,7 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
     errors = [r[:, :3] for r in residuals_of(fit, sets, fit.machine)]
     for data in sets:
         if not fit.knows(data):
-            raise MeasurementError(f"{data.where}: is of a tool or a set-up that is in no table to identify from.")
+            raise MeasurementError(f"{data.where}: is of a tool or a set-up that no level identifies.")
     axes = [axes_of(section.frame, fit.bases_of(data), data.tips(fit.robot, fit.deviations)) for data in sets]
     turned = np.concatenate(
         [(np.swapaxes(R, -1, -2) @ r[:, :, None])[:, :, 0] for R, r in zip(axes, errors, strict=True)]

@@ -120,9 +120,11 @@ def with_document(
     def joint(name: str) -> str:
         return joints.get(name, name)
 
+    # As it was loaded: the first link comes first in the order of readings, whichever is the tip now.
+    first = robot.links[0] if robot.links else robot.tip
     found = load_robot(
         document,
-        link(robot.tip),
+        link(first),
         link(robot.base),
         links=[link(name) for name in robot.links],
         couplings=[
@@ -139,7 +141,7 @@ def with_document(
         payload=_on(link, robot.payload),
     )
     loads = {name: Load(load.gravity, _on(link, load.payload)) for name, load in robot.loads.items()}
-    return replace(found.with_loads(loads), setup=robot.setup)
+    return replace(found.with_loads(loads).with_tip(link(robot.tip)), setup=robot.setup)
 
 
 def _on(link: Callable[[str], str], payload: Payload | None) -> Payload | None:

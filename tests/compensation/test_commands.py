@@ -438,6 +438,23 @@ def test_outside_the_residuals() -> None:
     assert clamped.reasons[1].endswith("; the nearest known errors are taken")
 
 
+def test_what_a_residual_model_does_not_know_is_asked_of_all_rows_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A row at a time took a Gaussian process of many rows minutes: each goes through a matrix of all of them."""
+    model = model_of(robot_of("ur10"))
+    model = replace(model, residual_model=residual_grid(model.robot, "base"))
+    asked: list[int] = []
+    outside = grid.SectorGrid.outside
+
+    def counted(known: grid.SectorGrid, readings: Array) -> tuple[str, ...]:
+        asked.append(len(readings))
+        return outside(known, readings)
+
+    monkeypatch.setattr(grid.SectorGrid, "outside", counted)
+    readings = np.tile([0.5, 0.3, 0.9, 0.5, 0.8, 0.1], (7, 1))
+    assert commands.for_joint_targets(model, readings).reached.all()
+    assert asked == [7]
+
+
 # ---- tables
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.foundations.errors import JobError
+from calib.foundations.errors import JobError, MeasurementError
 from calib.job.inputs import load
 from calib.job.run import run
 from calib.results.calibration import Calibration
@@ -96,6 +96,16 @@ def test_wrong_levels_are_refused(old: str, new: str, sentence: str, tmp_path: P
         run(load(tmp_path / "calibration.toml"))
     assert sentence in str(caught.value)
     assert "calibration.toml" in str(caught.value)
+
+
+def test_a_set_up_that_no_level_identifies_has_no_residuals(tmp_path: Path) -> None:
+    """A table of it may well be there to identify from, in a level that does not take it."""
+    for file in CASE.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    job = (CASE / "calibration.toml").read_text().replace('use = "nodes"', 'use = "nodes"\nsetup = "elsewhere"')
+    (tmp_path / "calibration.toml").write_text(job)
+    with pytest.raises(MeasurementError, match=r"nodes\.csv: is of a tool or a set-up that no level identifies"):
+        run(load(tmp_path / "calibration.toml"))
 
 
 def test_what_a_urdf_without_the_loop_loses_is_told(outcome: Calibration, out: Path) -> None:

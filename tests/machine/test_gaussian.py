@@ -74,6 +74,45 @@ def test_prediction_is_that_of_scikit_learn(known: GaussianResiduals) -> None:
     assert np.abs(np.hypot(known.sigma(points), noise)[:, None] * 1e4 - deviation).max() < 1e-7
 
 
+def test_the_likelihood_is_that_of_scikit_learn_and_its_derivative_that_of_differences() -> None:
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+
+    points, errors = ROWS[:60], ERRORS[:60] / np.sqrt(np.mean(ERRORS[:60] ** 2))
+    for logarithms in np.log([[0.7, 0.3, 0.3, 0.3, 0.3], [2.0, 0.5, 100.0, 1.0, 1e-3]]):
+        variance, *scales, noise = np.exp(logarithms)
+        kernel = ConstantKernel(variance) * Matern(scales, nu=1.5) + WhiteKernel(noise)
+        theirs = GaussianProcessRegressor(kernel, optimizer=None, alpha=0.0).fit(points, errors)
+        value, by_logarithms = gaussian._unlikely(logarithms, points, errors)
+        assert value == pytest.approx(-theirs.log_marginal_likelihood_value_, rel=1e-9)
+        steps = 1e-5 * np.eye(len(logarithms))
+        differences = [
+            (
+                gaussian._unlikely(logarithms + h, points, errors)[0]
+                - gaussian._unlikely(logarithms - h, points, errors)[0]
+            )
+            / 2e-5
+            for h in steps
+        ]
+        np.testing.assert_allclose(by_logarithms, differences, rtol=1e-5, atol=1e-5)
+
+
+def test_errors_that_follow_no_joint_are_searched_no_longer_than_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their likelihood is flat: without a bound the search took hundreds of looks at it."""
+    looks: list[float] = []
+    likely = gaussian._unlikely
+
+    def looked(*given: Any) -> tuple[float, Array]:
+        value, by_logarithms = likely(*given)
+        looks.append(value)
+        return value, by_logarithms
+
+    monkeypatch.setattr(gaussian, "_unlikely", looked)
+    rng = np.random.default_rng(0)
+    gaussian.likeliest_kernel(rng.uniform(-1.0, 1.0, (200, 6)), rng.normal(scale=1e-4, size=(200, 3)))
+    assert len(looks) < 250
+
+
 def test_far_from_all_rows_it_fades_to_zero_and_says_so(known: GaussianResiduals) -> None:
     far = np.array([[60.0, 0.5, 60.0]])
     assert np.abs(known.at(far)).max() < 1e-3 * np.abs(known.at(ROWS)).max()

@@ -10,7 +10,7 @@ import calib
 from calib.foundations.errors import OutputError
 from calib.machine import urdf as compensation
 from calib.machine.urdf import calibrated_origins, calibrated_urdf, lost_in_urdf, write_urdf
-from calib.robot.load import load_robot
+from calib.robot.load import load_robot, with_document
 from calib.robot.terms import JointTerm
 from calib.robot.urdf import parse_urdf
 from tests.support import machines
@@ -43,6 +43,19 @@ def test_another_reader_sees_the_machine(name: str) -> None:
     shuffled = np.empty_like(readings)
     shuffled[:, order] = readings
     assert np.abs(arm.tips(shuffled) - robot.tips(readings, d)).max() < 1e-9
+
+
+def test_seen_from_another_tip_it_is_the_same_document() -> None:
+    """Which of the links is the tip says nothing of the order of readings."""
+    source, left = ARMS["talos left"]
+    robot = load_robot(source, left, links=["gripper_right_base_link"], payload=calib.measuring.Payload(2.0))
+    other = robot.with_tip("gripper_right_base_link")
+    d = deviations(robot)
+    assert calibrated_urdf(other, d) == calibrated_urdf(robot, d)
+    again = with_document(other, robot.urdf)
+    assert (again.tip, again.links, again.readings) == (other.tip, other.links, other.readings)
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (5, len(robot.readings)))
+    np.testing.assert_allclose(again.tips(q), other.tips(q), atol=1e-12)
 
 
 @pytest.mark.parametrize(
