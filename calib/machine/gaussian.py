@@ -13,9 +13,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
-from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 
 from calib.foundations.arrays import Array, read_only
@@ -213,7 +213,7 @@ def likeliest_kernel(points: Array, errors: Array) -> Kernel:
     found = []
     for scale in _STARTS:
         start = np.log([0.7, *[scale] * points.shape[1], 0.3])
-        best: Any = minimize(  # type: ignore[call-overload]
+        best: Any = scipy.optimize.minimize(  # type: ignore[call-overload]
             _unlikely, start, (points[some], scaled), method="L-BFGS-B", jac=True, bounds=bounds, options=_ENOUGH
         )
         found.append((float(best.fun), np.exp(best.x)))
