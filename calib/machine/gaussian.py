@@ -46,9 +46,9 @@ _SCALES = (0.02, 100.0)
 # Of the variances of the process and of the noise, in units of the errors' mean square.
 _VARIANCE = (1e-4, 1e3)
 _NOISE = (1e-6, 10.0)
-# The likelihood of errors that follow no joint is flat, and a search on it would not end for long: a thousandth of
-# a log likelihood of a thousand tells nothing apart.
-_ENOUGH: Any = {"ftol": 1e-6, "maxiter": 60}
+# The likelihood of errors that follow no joint is flat, and a search on it would not end for long. A rougher one would
+# stop on the way to a better optimum.
+_ENOUGH: Any = {"ftol": 1e-9, "maxiter": 100}
 # Scales, amplitude and noise show in so many rows as well as in all, at a fraction of the cost.
 _ROWS_FOR_SCALES = 600
 _FEWEST_ROWS = 10
