@@ -77,7 +77,10 @@ def exp3(w: Array) -> Array:
 
 def log3(R: Array) -> Array:
     """Return the rotation vectors (..., 3) of rotations (..., 3, 3), with angles in [0, pi]."""
-    v = 0.5 * (R[..., [2, 0, 1], [1, 2, 0]] - R[..., [1, 2, 0], [2, 0, 1]])
+    v = np.empty(R.shape[:-1])
+    for i, j, k in ((0, 2, 1), (1, 0, 2), (2, 1, 0)):
+        np.subtract(R[..., j, k], R[..., k, j], out=v[..., i])
+    v *= 0.5
     s = np.sqrt(np.einsum("...i,...i->...", v, v))[..., None]
     c = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)[..., None]
     w = v * np.divide(np.arctan2(s, c), s, out=np.ones_like(s), where=s > _TINY)
@@ -97,10 +100,11 @@ def left_jacobian_inverse(w: Array) -> Array:
     """Return Jl(w)^-1 (..., 3, 3): ``log(exp(d) exp(w)) = w + Jl(w)^-1 d`` to first order in d (..., 3)."""
     square = np.einsum("...i,...i->...", w, w)
     half = 0.5 * np.sqrt(square)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        c = np.where(half > 0.5 * _SMALL_ANGLE, (1.0 - half / np.tan(half)) / square, 1.0 / 12.0)
+    c, turned = np.full_like(square, 1.0 / 12.0), half > 0.5 * _SMALL_ANGLE
+    c[turned] = (1.0 - half[turned] / np.tan(half[turned])) / square[turned]
     # 1 - [w]x / 2 + c [w]x^2, where [w]x^2 = w w^T - |w|^2.
-    out = (c[..., None] * w)[..., :, None] * w[..., None, :] - skew(0.5 * w)
+    out = (c[..., None] * w)[..., :, None] * w[..., None, :]
+    out -= skew(0.5 * w)
     np.einsum("...ii->...i", out)[...] += (1.0 - c * square)[..., None]
     return np.asarray(out)
 
