@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.assessment.checks import of_arm, of_errors, of_rows
+from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.effects import Step, Timing, apart, delay, gains, rounding, steps, strains, timing, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check
@@ -344,6 +344,25 @@ def test_a_base_that_wanders_by_centimetres(cell: Cell) -> None:
     size, chance = wandering(parts, C)
     assert 3e-3 < size < 2e-2
     assert chance < 1e-10
+
+
+@pytest.mark.parametrize(("poses", "passed"), [(11, False), (20, True)])
+def test_poses_that_are_measured_again_judge_no_model(cell: Cell, poses: int, passed: bool) -> None:
+    """At eleven poses a bad arm is followed exactly, however often each is measured."""
+    data = cell.measured(np.repeat(cell.draw(poses), 5, axis=0))
+    wrong = 2e-3 * np.sin(3.0 * data.readings[:, :3])
+    fit = calib.identify(cell.model, replace(data, position=data.position + wrong))
+    assert sum(noise.degrees_of_freedom for noise in fit.noise) > 100.0
+    check = of_fit.redundancy(fit)
+    assert check.passed == passed
+    assert f"{12 * poses} of them at the same poses again" in check.sentence
+
+
+def test_what_is_measured_at_one_pose_in_other_ways_is_no_repetition(cell: Cell) -> None:
+    q = np.repeat(cell.draw(10), 2, axis=0)
+    both = cell.measured(q)
+    (other,) = (calib.positions(cell.robot, q, both.position, sigma=5e-5, tool=["a", "b"] * 10),)
+    assert "again" not in of_fit.redundancy(calib.identify(cell.model, other)).sentence
 
 
 # ---- what is plausible
