@@ -380,10 +380,33 @@ def test_lengths_that_are_all_too_long(cell: Cell, factor: float, passed: bool) 
     assert check.passed == passed
 
 
+def test_a_share_of_lengths_that_hardly_move_the_tool_is_no_other_robot() -> None:
+    """Of three slides and a short wrist a free base, tool and zeros take up all lengths but a few millimetres."""
+    text = machines.urdf(
+        ("slide_x", "prismatic", "0 0 1.5", "0 0 0", "1 0 0"),
+        ("slide_y", "prismatic", "0 0 0.1", "0 0 0", "0 1 0"),
+        ("slide_z", "prismatic", "0.1 0 0", "0 0 0", "0 0 -1"),
+        ("turn", "revolute", "0 0 -0.2", "0 0 0", "0 0 1"),
+        ("tilt", "revolute", "0 0.02 -0.08", "0 0 0", "0 1 0"),
+        ("roll", "revolute", "0 0 -0.1", "0 0 0", "0 0 -1"),
+    )
+    robot, arm, seen = machines.load(text, "tip"), machines.arm(text, "tip"), []
+    model = calib.error_model(robot, offsets="all", placements="all")
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        made, tool = arm.moved(rng), {"tool": machines.pose((0.05, 0.03, 0.12))}
+        true = machines.Machine(made, machines.anywhere(rng), tool)
+        fit = calib.identify(model, true.measure(robot, made.draw(rng, 30), rng=rng, sigma=5e-5))
+        check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+        assert check.passed
+        seen.append(check.sentence)
+    assert "Little tells whether all links are longer than in the URDF." in seen
+
+
 def test_lengths_that_nothing_tells_are_said_in_words(
     cell: Cell, fit: calib.Fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(of_arm, "_common_scale", lambda *_: (float("nan"), float("nan")))
+    monkeypatch.setattr(of_arm, "_common_scale", lambda *_: (float("nan"),) * 3)
     assert of_arm.lengths(fit, ()).sentence == "Nothing tells whether all links are longer than in the URDF."
 
 
