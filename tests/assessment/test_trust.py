@@ -11,7 +11,7 @@ from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.effects import Step, Timing, apart, delay, gains, rounding, steps, strains, timing, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check
-from calib.assessment.stretches import stretches
+from calib.assessment.stretches import pose_by_pose, stretches
 from calib.assessment.trust import remarks
 from calib.identification.identify import with_values
 from calib.machine.calibrated import machine_of
@@ -356,6 +356,25 @@ def test_poses_that_are_measured_again_judge_no_model(cell: Cell, poses: int, pa
     check = of_fit.redundancy(fit)
     assert check.passed == passed
     assert f"{12 * poses} of them at the same poses again" in check.sentence
+
+
+@pytest.mark.parametrize(("poses", "moved"), [(13, 0.0), (16, 3e-3)], ids=["sound", "a base that moved"])
+def test_poses_that_are_measured_again_err_alike(poses: int, moved: float) -> None:
+    """A gear that wobbles errs alike in all five rows of a pose, which is no jump between poses; a moved base is."""
+    by_row, by_pose = 0, 0
+    for seed in range(3):
+        own = Cell(seed)
+        q = np.repeat(own.draw(poses), 5, axis=0)
+        data, wrong = own.measured(q), 5e-4 * np.sin(3.0 * q[:, :3] + 1.0)
+        wrong[40:] += moved
+        residue = Residue.of(calib.identify(own.model, replace(data, position=data.position + wrong)), {})
+        parts = stretches(residue)
+        whole = tuple(pose_by_pose(part, residue.C) for part in parts)
+        assert len(whole[0].r) == poses
+        by_row += any(step.chance < of_rows.RARELY for step in steps(parts, residue.C))
+        by_pose += any(step.chance < of_rows.RARELY for step in steps(whole, residue.C))
+    assert by_row > 0
+    assert by_pose == (3 if moved else 0)
 
 
 def test_what_is_measured_at_one_pose_in_other_ways_is_no_repetition(cell: Cell) -> None:
