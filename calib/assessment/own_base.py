@@ -2,9 +2,11 @@
 
 A base that is one for all, where there were two, leaves what a rigid motion of the measured points explains. Where they
 are far apart, that tells it from an arm that is not as it was modelled: what a model leaves is a rigid motion locally.
+So is what a machine is not sure of at rows held out, elsewhere than those that it was fitted to: as far as the stated
+uncertainty explains a motion, nothing is asked for.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,6 +22,8 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initial_frames
 from calib.identification.initialisation.problem import with_common_names
 from calib.identification.system import Problem
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.tool_uncertainty import common_errors
 from calib.measurement.measurements import Measurements
 
 # Sound tables, also of dense paths whose model error is common to neighbours, lose up to a third of their error when
@@ -59,12 +63,14 @@ class OwnBase(NamedTuple):
         )
 
 
-def tables_with_own_base(model: ErrorModel, sets: Sequence[JudgedSet]) -> tuple[OwnBase, ...]:
+def tables_with_own_base(
+    model: ErrorModel, machine: CalibratedMachine, sets: Sequence[JudgedSet]
+) -> tuple[OwnBase, ...]:
     """Return the tables that ask for a base of their own, one entry for each."""
     placed = [one for one in sets if one.data.position is not None]
     reach = model.robot.reach
     found = [
-        *own_bases(((one.file, one.data.position, one.after[:, :3]) for one in placed), reach),
+        *own_bases(((one.file, one.data.position, one.after[:, :3], _unsure(machine, one)) for one in placed), reach),
         *far_apart(model, ((one.file, one.data, one.before[:, :3]) for one in placed)),
     ]
     return tuple({one.file: one for one in found}.values())
@@ -87,9 +93,30 @@ def far_apart(model: ErrorModel, tables: Iterable[tuple[str, Measurements, Array
             yield OwnBase(file, error, moved, _wide(data.position, model.robot.reach))
 
 
-def own_bases(tables: Iterable[tuple[str, Array | None, Array]], reach: float) -> Iterator[OwnBase]:
-    """Yield the tables that ask for a base of their own, of files, measured positions (N, 3) and residuals (N, 3)."""
-    for file, measured, residuals in tables:
+def _unsure(machine: CalibratedMachine, one: JudgedSet) -> Callable[[Array], float]:
+    """Return by which variance a machine is unsure of motions (N, 3) of the points of a table, in m^2.
+
+    The rows of a fit are where it was drawn to.
+    """
+    known = machine.bases.keys() >= set(one.data.setups) and machine.tools.keys() >= set(one.data.tools)
+
+    def along(motion: Array) -> float:
+        if one.use == "identification" or not known:
+            return 0.0
+        errors = common_errors(machine, one.data)[:, :3]
+        return float(np.sum(np.tensordot(motion, errors, 2) ** 2) / np.sum(motion**2))
+
+    return along
+
+
+def own_bases(
+    tables: Iterable[tuple[str, Array | None, Array, Callable[[Array], float]]], reach: float
+) -> Iterator[OwnBase]:
+    """Yield the tables that ask for a base of their own, of files, measured positions (N, 3) and residuals (N, 3).
+
+    Each with a function that tells by which variance its machine is unsure of motions (N, 3) of the points.
+    """
+    for file, measured, residuals, unsure in tables:
         if measured is None:
             continue
         freedom = measured.size - _UNKNOWN
@@ -99,9 +126,12 @@ def own_bases(tables: Iterable[tuple[str, Array | None, Array]], reach: float) -
         left = predicted - _moved(measured, predicted)
         before, after = float(np.sum(residuals**2)), float(np.sum(left**2))
         error, moved = np.sqrt(3.0 * before / measured.size), np.sqrt(3.0 * after / freedom)
+        if not (error > _FINE and moved < _SMALLER * error):
+            continue
         # F-distributed times its freedom, where nothing was moved.
-        gained = (before - after) / max(after / freedom, np.finfo(float).tiny)
-        if error > _FINE and moved < _SMALLER * error and float(exceeded(gained, _UNKNOWN, freedom)) < _HARDLY:
+        variance = after / freedom + unsure(residuals - left)
+        gained = (before - after) / max(variance, np.finfo(float).tiny)
+        if float(exceeded(gained, _UNKNOWN, freedom)) < _HARDLY:
             yield OwnBase(file, float(error), float(moved), _wide(measured, reach))
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.assessment.influence import Residue
+from calib.assessment.validation import ONE_POSE, both_ends
 from calib.foundations.arrays import Array, IntArray
 from calib.identification.parameters import scales
 from calib.identification.system import Problem, Rates
@@ -127,6 +128,52 @@ def by_photograph(part: Stretch) -> Stretch:
         row=part.row[first],
         together=None,
     )
+
+
+def pose_by_pose(part: Stretch, C: Array) -> Stretch:
+    """Return rows that measure one pose again and again, one after the other, as one: with the same J, but less noise.
+
+    What a model leaves is the same in all of them: as rows of their own they would make chance of it impossible. ``C``:
+    the covariance of the parameters.
+    """
+    data, rows = part.data, part.row.astype(np.intp)
+    if data.stream is not None or data.kind == "pixels" or data.points is not None:
+        return part
+    whose = np.column_stack([data.target, data.setup, *(end.tool for end in data.ends)])[rows]
+    first = _first_of_poses(both_ends(data)[rows], whose)
+    if len(first) == len(rows):
+        return part
+    many = np.diff(np.append(first, len(rows)))
+
+    def mean(x: Array) -> Array:
+        return np.asarray(np.add.reduceat(x, first, axis=0) / many.reshape(-1, *[1] * (x.ndim - 1)))
+
+    def as_one(x: Array) -> Array:
+        return mean(x) * np.sqrt(many).reshape(-1, *[1] * (x.ndim - 1))
+
+    J = as_one(part.J)
+    return replace(
+        part,
+        r=as_one(part.r),
+        J=J,
+        by_joint=as_one(part.by_joint),
+        by_base=as_one(part.by_base),
+        by_tool=as_one(part.by_tool),
+        values=mean(part.values),
+        rates=mean(part.rates),
+        row=part.row[first + many - 1],
+        used=float(np.sum((J @ C) * J)),
+    )
+
+
+def _first_of_poses(readings: Array, whose: IntArray) -> IntArray:
+    """Return the first row of every run of rows with the same readings (n, k), and the same ``whose`` (n, m)."""
+    first = [0] if len(readings) else []
+    for k in range(1, len(readings)):
+        at = first[-1]
+        if np.any(whose[k] != whose[at]) or np.abs(readings[k] - readings[at]).max() > ONE_POSE:
+            first.append(k)
+    return np.array(first, dtype=np.intp)
 
 
 def _rates(data: Measurements, scalars: Array) -> tuple[Array, float]:

@@ -19,7 +19,7 @@ from calib.assessment.mixed_machines import mixed_machines
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
 from calib.assessment.places import unshown
-from calib.assessment.stretches import stretches
+from calib.assessment.stretches import pose_by_pose, stretches
 from calib.foundations.linear import one_thread
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
@@ -55,13 +55,14 @@ def verdict(
         residue = Residue.of(fit, {})
         parts = stretches(residue)
         C = residue.C
+        poses = tuple(pose_by_pose(part, C) for part in parts)
         by_row = (
-            of_rows.jump(steps(parts, C), found),
-            of_rows.drift(wandering(parts, C), fit),
-            of_rows.late(*delay(parts, C)),
-            of_rows.timing(timing(parts, C)),
-            of_rows.gear(gains(parts, C), fit),
-            of_rows.axes(strains(parts, C)),
+            of_rows.jump(steps(poses, C), found),
+            of_rows.drift(wandering(poses, C), fit),
+            of_rows.late(*delay(poses, C)),
+            of_rows.timing(timing(poses, C)),
+            of_rows.gear(gains(poses, C), fit),
+            of_rows.axes(strains(poses, C)),
             of_rows.resolution(rounding(parts, fit.model.robot), fit),
         )
         told = (
@@ -74,7 +75,7 @@ def verdict(
             of_errors.copies(own, held_out),
             of_fit.redundancy(fit),
             *by_row,
-            of_rows.groups(found, apart(parts, C), fit),
+            of_rows.groups(found, apart(poses, C), fit),
             of_rows.set_ups(moved),
             of_rows.one_machine(mixed_machines(parts), fit),
             of_rows.outliers(fit, own),

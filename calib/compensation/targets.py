@@ -24,6 +24,9 @@ from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, 
 from calib.robot.conditions import Conditions
 from calib.robot.transmission import lacking
 
+# Numbers of a pose.
+_OF_A_POSE = 6
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Targets:
@@ -135,10 +138,15 @@ def corrections(
             conditions=wanted.conditions,
         )
     if not found.reached.any():
-        table = wanted.table
+        table, joints = wanted.table, len(_needed(model, wanted.tools))
+        sought_poses = what == "pose" and (wanted.poses is None or wanted.poses.ndim == 3)
+        few = (
+            f" An arm of {joints} joints meets a pose of the nominal one only nearly; ask for its position alone "
+            '(what = "position", --what position).'
+        )
         raise MeasurementError(
             f"{table.where}: none of the {len(found)} targets can be reached; that of line {table.lines[0]}: "
-            f"{found.reasons[0]}."
+            f"{found.reasons[0]}.{few if sought_poses and joints < _OF_A_POSE else ''}"
         )
     return found
 

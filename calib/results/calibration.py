@@ -237,7 +237,7 @@ def assess(
     told = any(finding.code == "not-held-out" for finding in findings)
     findings = (*findings, *([] if told else _not_held_out(own, validation)))
     found = outliers(fit, files={table.where: name for name, table in zip(given, own, strict=False)})
-    moved = tables_with_own_base(fit.model, sets)
+    moved = tables_with_own_base(fit.model, machine, sets)
     judged_fit = verdict(fit, machine, sets, found, findings, moved)
     return Calibration(
         fit,

@@ -14,6 +14,10 @@ from tests.support.touching import UR10
 SIGMA = 3e-5
 
 
+def sure(_motion: np.ndarray) -> float:
+    return 0.0
+
+
 @pytest.mark.parametrize("moved", [(0.0, 0.0), (3e-4, 0.0), (0.5, 0.4)], ids=["sound", "by 0.3 mm", "elsewhere"])
 def test_tables_of_two_set_ups_under_one_name(moved: tuple[float, float]) -> None:
     rng = np.random.default_rng(4)
@@ -57,9 +61,25 @@ def test_what_a_rigid_motion_does_not_explain_asks_for_nothing() -> None:
     for n in (3, 5, 10, 30, 200):
         for _ in range(200):
             x = rng.uniform(-1.0, 1.0, (n, 3))
-            assert not list(own_bases([("a.csv", x, rng.normal(scale=1e-4, size=(n, 3)))], 1.0))
+            assert not list(own_bases([("a.csv", x, rng.normal(scale=1e-4, size=(n, 3)), sure)], 1.0))
     x = rng.uniform(-1.0, 1.0, (20, 3))
     r = x - (x @ pose(rotvec=(0, 0, 1e-3))[:3, :3].T + (1e-3, 0, 0)) + rng.normal(scale=1e-4, size=(20, 3))
-    (found,) = own_bases([("a.csv", x, r)], 1.0)
+    (found,) = own_bases([("a.csv", x, r, sure)], 1.0)
     assert found.moved == pytest.approx(np.sqrt(3) * 1e-4, rel=0.3)
     assert found.error > 1e-3
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.5], ids=["sound", "by half a metre"])
+def test_rows_held_out_where_the_machine_is_not_sure_ask_for_nothing(moved: float) -> None:
+    """Only the wrist was moved; where the rest of the arm stands otherwise, all points are off alike."""
+    rng = np.random.default_rng(0)
+    robot, arm, base = machines.load(*UR10), machines.arm(*UR10), anywhere(rng)
+    made, tool, sets = arm.moved(rng), {"tool": pose((0, 0.05, 0.1))}, []
+    for at, n in ((base, 30), (base @ pose((moved, 0, 0)), 10)):
+        q = made.draw(rng, n)
+        q[:, :3] = q[0, :3]
+        sets.append(machines.Machine(made, at, tool).measure(robot, q, rng=rng, sigma=SIGMA))
+    found = calib.assess(calib.identify(calib.error_model(robot, offsets="all", placements="all"), sets[0]), sets[1])
+    after = found.metrics["validation"]["after"]["position"].rms
+    assert after > 1e-3
+    assert any("fits better with a base of its own" in doubt for doubt in found.doubts) == (moved > 0.0)

@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.assessment.checks import of_arm, of_errors, of_rows
+from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.effects import Step, Timing, apart, delay, gains, rounding, steps, strains, timing, wandering
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check
-from calib.assessment.stretches import stretches
+from calib.assessment.stretches import pose_by_pose, stretches
 from calib.assessment.trust import remarks
 from calib.identification.identify import with_values
 from calib.machine.calibrated import machine_of
@@ -346,6 +346,44 @@ def test_a_base_that_wanders_by_centimetres(cell: Cell) -> None:
     assert chance < 1e-10
 
 
+@pytest.mark.parametrize(("poses", "passed"), [(11, False), (20, True)])
+def test_poses_that_are_measured_again_judge_no_model(cell: Cell, poses: int, passed: bool) -> None:
+    """At eleven poses a bad arm is followed exactly, however often each is measured."""
+    data = cell.measured(np.repeat(cell.draw(poses), 5, axis=0))
+    wrong = 2e-3 * np.sin(3.0 * data.readings[:, :3])
+    fit = calib.identify(cell.model, replace(data, position=data.position + wrong))
+    assert sum(noise.degrees_of_freedom for noise in fit.noise) > 100.0
+    check = of_fit.redundancy(fit)
+    assert check.passed == passed
+    assert f"{12 * poses} of them at the same poses again" in check.sentence
+
+
+@pytest.mark.parametrize(("poses", "moved"), [(13, 0.0), (16, 3e-3)], ids=["sound", "a base that moved"])
+def test_poses_that_are_measured_again_err_alike(poses: int, moved: float) -> None:
+    """A gear that wobbles errs alike in all five rows of a pose, which is no jump between poses; a moved base is."""
+    by_row, by_pose = 0, 0
+    for seed in range(3):
+        own = Cell(seed)
+        q = np.repeat(own.draw(poses), 5, axis=0)
+        data, wrong = own.measured(q), 5e-4 * np.sin(3.0 * q[:, :3] + 1.0)
+        wrong[40:] += moved
+        residue = Residue.of(calib.identify(own.model, replace(data, position=data.position + wrong)), {})
+        parts = stretches(residue)
+        whole = tuple(pose_by_pose(part, residue.C) for part in parts)
+        assert len(whole[0].r) == poses
+        by_row += any(step.chance < of_rows.RARELY for step in steps(parts, residue.C))
+        by_pose += any(step.chance < of_rows.RARELY for step in steps(whole, residue.C))
+    assert by_row > 0
+    assert by_pose == (3 if moved else 0)
+
+
+def test_what_is_measured_at_one_pose_in_other_ways_is_no_repetition(cell: Cell) -> None:
+    q = np.repeat(cell.draw(10), 2, axis=0)
+    both = cell.measured(q)
+    (other,) = (calib.positions(cell.robot, q, both.position, sigma=5e-5, tool=["a", "b"] * 10),)
+    assert "again" not in of_fit.redundancy(calib.identify(cell.model, other)).sentence
+
+
 # ---- what is plausible
 
 
@@ -361,10 +399,33 @@ def test_lengths_that_are_all_too_long(cell: Cell, factor: float, passed: bool) 
     assert check.passed == passed
 
 
+def test_a_share_of_lengths_that_hardly_move_the_tool_is_no_other_robot() -> None:
+    """Of three slides and a short wrist a free base, tool and zeros take up all lengths but a few millimetres."""
+    text = machines.urdf(
+        ("slide_x", "prismatic", "0 0 1.5", "0 0 0", "1 0 0"),
+        ("slide_y", "prismatic", "0 0 0.1", "0 0 0", "0 1 0"),
+        ("slide_z", "prismatic", "0.1 0 0", "0 0 0", "0 0 -1"),
+        ("turn", "revolute", "0 0 -0.2", "0 0 0", "0 0 1"),
+        ("tilt", "revolute", "0 0.02 -0.08", "0 0 0", "0 1 0"),
+        ("roll", "revolute", "0 0 -0.1", "0 0 0", "0 0 -1"),
+    )
+    robot, arm, seen = machines.load(text, "tip"), machines.arm(text, "tip"), []
+    model = calib.error_model(robot, offsets="all", placements="all")
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        made, tool = arm.moved(rng), {"tool": machines.pose((0.05, 0.03, 0.12))}
+        true = machines.Machine(made, machines.anywhere(rng), tool)
+        fit = calib.identify(model, true.measure(robot, made.draw(rng, 30), rng=rng, sigma=5e-5))
+        check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+        assert check.passed
+        seen.append(check.sentence)
+    assert "Little tells whether all links are longer than in the URDF." in seen
+
+
 def test_lengths_that_nothing_tells_are_said_in_words(
     cell: Cell, fit: calib.Fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(of_arm, "_common_scale", lambda *_: (float("nan"), float("nan")))
+    monkeypatch.setattr(of_arm, "_common_scale", lambda *_: (float("nan"),) * 3)
     assert of_arm.lengths(fit, ()).sentence == "Nothing tells whether all links are longer than in the URDF."
 
 

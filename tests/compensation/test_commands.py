@@ -542,3 +542,19 @@ def test_nothing_can_be_reached() -> None:
         MeasurementError, match=r"arrays: none of the 2 targets can be reached; that of line 0: is 9 m from the base"
     ):
         targets.corrections(model, wanted)
+
+
+def test_an_arm_of_few_joints_is_asked_for_positions() -> None:
+    """A SCARA that leans by a milliradian meets no pose of the one that stands upright."""
+    robot = machines.load(machines.INLINE["scara"], "tip")
+    leaning = np.zeros((len(robot.chain), 6))
+    leaning[1, 3] = 1e-3
+    model = calib.CalibratedMachine(
+        robot, calib.Deviations(leaning, np.zeros(4), np.zeros(0)), np.eye(4), {"tool": TOOLS["tool"]}
+    )
+    q = np.array([[0.3, 0.8, 0.1, -0.4], [-0.5, 1.0, 0.05, 0.2]])
+    columns = {f"{r.name} [{'m' if r.dimension == 'length' else 'rad'}]": q[:, k] for k, r in enumerate(robot.readings)}
+    wanted = targets.targets(table_from_arrays(columns), model)
+    with pytest.raises(MeasurementError, match=r"mrad away\. An arm of 4 joints .* \(what = \"position\", --what"):
+        targets.corrections(model, wanted)
+    assert targets.corrections(model, wanted, what="position").reached.all()

@@ -3,8 +3,10 @@
 import numpy as np
 
 from calib.assessment.judged import NOTHING, Check
+from calib.assessment.validation import ONE_POSE, both_ends
 from calib.identification.fit import Fit
 from calib.measurement.kinds import UNIT_OF
+from calib.measurement.measurements import Measurements
 
 # Degrees of freedom with which a scatter is told from a sigma.
 ENOUGH = 10.0
@@ -28,11 +30,35 @@ def convergence(fit: Fit) -> Check:
 
 
 def redundancy(fit: Fit) -> Check:
-    """Whether more was measured than was sought."""
-    free = sum(noise.degrees_of_freedom for noise in fit.noise)
+    """Whether more was measured than was sought. What is measured at one pose again tells of the noise alone."""
     numbers = sum(r.size for r in fit.residuals)
-    said = f"{numbers} numbers were measured, and {free:.0f} degrees of freedom are left to judge the fit"
+    again = sum(
+        r.shape[1] * _told_before(data, under_conditions=bool(fit.robot.terms))
+        for data, r in zip(fit.measurements, fit.residuals, strict=True)
+    )
+    free = sum(noise.degrees_of_freedom for noise in fit.noise) - again
+    said = f"{numbers} numbers were measured, {f'{again} of them at the same poses again, ' if again else ''}"
+    said += f"and {max(free, 0.0):.0f} degrees of freedom are left to judge the fit"
     return Check.judged("redundancy", free, FREEDOM, said, f"; at least {FREEDOM:g} are needed.", least=True)
+
+
+def _told_before(data: Measurements, *, under_conditions: bool) -> int:
+    """Return how many rows are of a pose, and of the same thing measured there, that another row tells of already.
+
+    ``under_conditions``: what joint terms depend on is a pose of its own. Rows in motion are not compared.
+    """
+    if data.stream is not None or not len(data):
+        return 0
+    whose = [data.tool, data.target, data.setup, *(end.tool for end in data.ends)]
+    told = [np.round(both_ends(data) / ONE_POSE), np.column_stack(whose)]
+    told += [] if data.points is None else [data.points]
+    if data.kind == "pixels":
+        told.append(data.value[:, 2:])
+    for end in data.ends if under_conditions else ():
+        own = end.conditions
+        states = (own.approach, own.temperature, own.torque, own.payload, own.gravity)
+        told += [np.nan_to_num(state.reshape(len(data), -1)) for state in states if state is not None]
+    return len(data) - len(np.unique(np.column_stack(told), axis=0))
 
 
 def stated_sigma(fit: Fit) -> Check:
