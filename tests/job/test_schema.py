@@ -138,5 +138,5 @@ def test_a_free_tool_begins_where_the_job_says_where_nothing_shows_it(kinds: tup
     if free:
         assert parse_job(tomllib.loads(text), "job.toml").error_model.tool == "pose"
     else:
-        with pytest.raises(JobError, match="tools: poses are given, and .* leaves them free"):
+        with pytest.raises(JobError, match=r"tools: poses are given, and .* leaves them free"):
             parse_job(tomllib.loads(text), "job.toml")
