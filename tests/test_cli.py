@@ -110,6 +110,63 @@ def test_wrong_usage(folder: Path, arguments: tuple[str, ...]) -> None:
     assert tree(folder) == before
 
 
+# What is typed and has no effect. ---------------------------------------------------------------------------------
+
+
+IDLE = [
+    ("plan --facing '0 0 1'", "--facing: say with --tracker"),
+    ("plan --nearest '1 m' --acceptance '20 deg'", "--acceptance, --nearest: say with --tracker"),
+    ("plan --tracker '2 0 0 m' --acceptance '20 deg'", "--acceptance: say with --facing"),
+    ("plan --sigma-angle '1 deg'", "--sigma-angle: of angles, which --observes pose measures."),
+    ("plan --no-collisions --mesh-root .", "--mesh-root: meshes are read for collisions alone."),
+    ("plan --candidates validation.csv --seed 3", "--seed: candidates are drawn at random"),
+    ("plan --observes pixels --tool '1 2 3 mm' --misfit '1 mm'", "--tool, --misfit: not of photographs;"),
+    ("board --kind chessboard --squares 7x6 --marker '10 mm'", "--marker: a chessboard has no markers."),
+    ("import validation.csv --topic x", "--topic: of a recording, or of a log of rigid bodies,"),
+    ("import validation.csv --by order", "--by: joins two files, and this is one."),
+    ("import validation.csv --tip a --camera-on floor", "--tip, --camera-on: of photographs alone:"),
+    ("import validation.csv --robot arm_cmm.urdf --stack a", "--stack: not with --robot,"),
+    ("import images photos --topic x", "--topic: not of photographs."),
+    ("check arm_cmm.urdf --all", "--all: needs a job, or a URDF and tables."),
+    ("check validation.csv --angles deg", "--angles: needs a job, or a URDF and tables."),
+    ("cell arm_cmm.urdf out --mesh-root .", "--mesh-root: meshes are read for --scene alone."),
+]
+
+
+@pytest.mark.parametrize(("typed", "sentence"), IDLE, ids=[typed for typed, _ in IDLE])
+def test_options_without_effect_are_refused(folder: Path, typed: str, sentence: str) -> None:
+    before = tree(folder)
+    name, *options = shlex.split(typed)
+    more = {"plan": [JOB, "-o", "new.csv"], "check": [], "board": ["-o", "new"]}.get(name, ["-o", "new.csv"])
+    said = run(name, *more, *options)
+    assert (said.code, said.out) == (2, "")
+    assert sentence in " ".join(said.err.split())
+    assert tree(folder) == before
+
+
+def test_folders_of_meshes_that_are_none(folder: Path) -> None:
+    said = run("plan", JOB, "-o", "new.csv", "--mesh-root", "nowhere")
+    assert said == (1, "", "Error: --mesh-root: 'nowhere' is not a folder.\n")
+
+
+def test_a_stack_without_a_title(folder: Path) -> None:
+    said = run("import", "validation.csv", "identification.csv", "--stack", " ", "-o", "new.csv")
+    assert said == (1, "", "Error: stack: a column without a title cannot be read again; give it one.\n")
+
+
+def test_wishes_of_compensate_without_effect_are_told(folder: Path) -> None:
+    assert run("calibrate", JOB, "-o", "out", "-q").code == 0
+    lines = (folder / "validation.csv").read_text(encoding="utf-8").splitlines()
+    joints = [line.rsplit(",", 3)[0] for line in lines if not line.startswith("#")]
+    (folder / "targets.csv").write_text("\n".join(joints[:4]) + "\n", encoding="utf-8")
+    wishes = ("--frame", "instrument", "--clamp")
+    said = run("compensate", "out", "targets.csv", "-o", "sent.csv", *wishes, "--json")
+    notes = json.loads(said.out)["notes"]
+    assert "--frame instrument has no effect" in notes[0]
+    assert "--clamp has no effect" in notes[1]
+    assert json.loads(run("compensate", "out", "targets.csv", "-o", "again.csv", "--json").out)["notes"] == []
+
+
 # Check. -----------------------------------------------------------------------------------------------------------
 
 

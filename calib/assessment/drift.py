@@ -17,6 +17,7 @@ from calib.foundations.chance import bound as bound_of
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, svd
+from calib.foundations.words import listed
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine
@@ -104,8 +105,8 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
     if differs := other_machine(robot, new.robot):
         raise MeasurementError(f"the two calibrations are not of one machine: {differs}.")
     if set(old.tools).isdisjoint(new.tools):
-        both = " and ".join(str(tuple(machine.tools)) for machine in (old, new))
-        raise MeasurementError(f"the two calibrations have no tool in common: {both}.")
+        olds, news = (listed(list(machine.tools)) for machine in (old, new))
+        raise MeasurementError(f"the two calibrations have no tool in common: {olds}; and {news}.")
     names, units = _entries(robot)
     count = len(names)
     before, after = old.known_uncertainty, new.known_uncertainty

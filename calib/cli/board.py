@@ -6,8 +6,11 @@ from typing import Annotated, Literal
 import typer
 
 from calib.cli.application import IN_WORDS, PREPARE, Telling, command
-from calib.cli.options import written
+from calib.cli.options import refuse_idle, written
 from calib_start import loading
+
+_MARKER = "22 mm"
+_DICTIONARY = "DICT_4X4_50"
 
 
 @command("board", PREPARE, "calib board -o board/")
@@ -16,10 +19,10 @@ def board(
     kind: Annotated[str, typer.Option("--kind", help="charuco or chessboard.")] = "charuco",
     squares: Annotated[str, typer.Option("--squares", help="Squares across and down, like 7x5.")] = "7x5",
     square: Annotated[str, typer.Option("--square", help="Side of a square.")] = "30 mm",
-    marker: Annotated[str, typer.Option("--marker", help="Side of a marker.")] = "22 mm",
+    marker: Annotated[str, typer.Option("--marker", help="Side of a marker.")] = _MARKER,
     dictionary: Annotated[
         str, typer.Option("--dictionary", help="OpenCV's name of the markers, like DICT_APRILTAG_36h11.")
-    ] = "DICT_4X4_50",
+    ] = _DICTIONARY,
     telling: Telling = IN_WORDS,
 ) -> None:
     """Write a board to print, as PDF and SVG.
@@ -35,6 +38,9 @@ def board(
         from calib.measurement.prints import Print
         from calib.presentation.printed_board import drawing, pdf, svg
     allowed, with_markers = RANGES["square, marker"], kind != "chessboard"
+    if not with_markers:
+        given = {"--marker": marker != _MARKER, "--dictionary": dictionary != _DICTIONARY}
+        refuse_idle("a chessboard has no markers.", given)
     print_ = Print(
         _kind(kind),
         _counts(squares),
@@ -66,5 +72,5 @@ def _counts(text: str) -> tuple[int, int]:
 
     parts = text.lower().split("x")
     if len(parts) != 2 or not all(part.isascii() and part.isdigit() and len(part) < 4 for part in parts):
-        raise JobError(f"--squares: {shown(text)} is not two whole numbers, like 7x5.")
+        raise JobError(f"--squares: {shown(text)} is not two whole numbers below 1000, like 7x5.")
     return int(parts[0]), int(parts[1])

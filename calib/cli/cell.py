@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import IN_WORDS, MORE, Telling, command
-from calib.cli.options import MeshRoots, argument, option, written
+from calib.cli.options import MeshRoots, argument, mesh_folders, option, refuse_idle, written
 from calib.foundations.choices import PlacedIn
 from calib_start import loading
 
@@ -35,12 +35,14 @@ def cell(
         from calib.foundations.files import refuse_taken, write_new
         from calib.presentation.machine_scene import cell_scene
         from calib.presentation.scene import render_scene
+    if scene is None:
+        refuse_idle("meshes are read for --scene alone.", {"--mesh-root": mesh_root})
     if scene == out:
         raise JobError(f"{out}: cannot be the cell and its scene; choose another name for one of them.")
     refuse_taken(out, scene)
     found = calibrated_cell(arm, positioner, placed_in, prefix)
     # As in a job: the URDF's own folder, and what is named.
-    roots = (arm.parent, *(mesh_root or ()))
+    roots = (arm.parent, *mesh_folders(mesh_root))
     page = None if scene is None else render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
     # The cell last: where the scene cannot be written, neither is the cell.
     if scene is not None and page is not None:

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import IN_WORDS, PATH, Telling, command
+from calib.cli.options import refuse_idle
 from calib.cli.proposing import NOTHING_SAID, Said, proposed, tell_check
 from calib_start import loading
 
@@ -43,6 +44,8 @@ def check(
     elif robots and tables:
         _check_files(robots[0], [Path(table) for table in tables], given, telling, every=every)
     else:
+        alone = dict.fromkeys((f"--{'column' if name == 'columns' else name}" for name in given), True)
+        refuse_idle("needs a job, or a URDF and tables.", {**alone, "--all": every})
         _tell_one(robots, tables, telling)
 
 

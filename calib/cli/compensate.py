@@ -46,6 +46,7 @@ def compensate(
         say("reading the model and the targets")
         model = load_machine(results).at(setup)
         wanted = targets_of.read_targets(targets, model, tool)
+        idle = targets_of.idle(model, wanted, frame=frame, clamp=clamp)
         say("correcting")
         found = targets_of.corrections(model, wanted, what=what, frame=frame, clamp=clamp)
         write_new(out, targets_of.corrected_csv(model, wanted, found))
@@ -55,9 +56,9 @@ def compensate(
     missed = len(found) - int(found.reached.sum())
     said = f"{missed} cannot be reached, and the table says why" if missed else "all can be reached"
     telling.tell(
-        lambda: {"file": str(out), **found.contents()},
+        lambda: {"file": str(out), **found.contents(), "notes": list(idle)},
         lambda: [
-            *map(warning, outside),
+            *map(warning, (*idle, *outside)),
             f"{len(found)} targets, {said}. The corrected commands are in {out}.",
         ],
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib.cli.application import IN_WORDS, PREPARE, Telling, command
-from calib.cli.options import argument, option, written
+from calib.cli.options import argument, option, refuse_idle, written
 from calib_start import loading
 
 if TYPE_CHECKING:
@@ -38,6 +38,16 @@ class OfImages:
     camera_on: Annotated[
         str, typer.Option("--camera-on", help="Of images: tip, or floor where the arm carries the board.")
     ] = "tip"
+
+    def given(self) -> dict[str, object]:
+        """Return them by their names; None where they say nothing."""
+        return {
+            "--board": self.board,
+            "--readings": self.readings,
+            "--tip": self.tip,
+            "--orientation": self.orientation,
+            "--camera-on": None if self.camera_on == "tip" else self.camera_on,
+        }
 
 
 NO_IMAGES = OfImages()
@@ -70,23 +80,32 @@ def import_(
         from calib.foundations.files import refuse_taken, write_new
         from calib.measurement.formats.recordings import is_recording
         from calib.measurement.formats.sheet import joined, read_sheet, stacked
+    images = str(files[0]) == _IMAGES and len(files) > 1
+    joining: dict[str, object] = {"--by": by, "--stack": stack}
+    if not images:
+        refuse_idle("of photographs alone: calib import images FOLDER ...", of_images.given())
     if any(is_recording(file) for file in files):
+        refuse_idle("not of a recording, of which --topic makes a table.", {**joining, "--robot": robot})
         _recording(files, topic, out, telling)
         return
     if out is None:
         raise typer.BadParameter("-o FILE is missing: the table, to be written.")
     refuse_taken(out)
-    if str(files[0]) == _IMAGES and len(files) > 1:
+    if images:
+        refuse_idle("not of photographs.", {**joining, "--topic": topic})
         _images(files[1:], out, robot, of_images, telling)
         return
-    if of_images.board is not None or of_images.readings is not None:
-        raise typer.BadParameter("--board and --readings are of photographs: calib import images FOLDER ...")
     if robot is not None:
+        refuse_idle("not with --robot, which takes one file of the maker's.", {**joining, "--topic": topic})
         _own_urdf(files, robot, out, telling)
         return
     if stack is not None and by is not None:
         raise typer.BadParameter("--stack puts rows one below the other, and --by joins them; take one.")
+    if len(files) == 1:
+        refuse_idle("joins two files, and this is one.", {"--by": by})
     sheets = [read_sheet(file, topic) for file in files]
+    if not any(sheet.of_part for sheet in sheets):
+        refuse_idle("of a recording, or of a log of rigid bodies, which none of these is.", {"--topic": topic})
     sheet = sheets[0] if stack is None else stacked(sheets, stack)
     for other in sheets[1:] if stack is None else ():
         sheet = joined(sheet, other, by)

@@ -1,9 +1,13 @@
 """Arguments and options that commands share."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
+from calib.foundations.errors import JobError
+from calib.foundations.words import shown
 
 
 def argument(metavar: str, help_: str) -> Any:
@@ -19,6 +23,23 @@ def option(name: str, metavar: str, help_: str) -> Any:
 def written(metavar: str, help_: str) -> Any:
     """Return the option ``--out``: a file or a folder to be written."""
     return typer.Option("--out", "-o", metavar=metavar, help=help_, readable=False)
+
+
+def refuse_idle(why: str, given: Mapping[str, object]) -> None:
+    """Raise BadParameter where one of some options was given that have no effect here, and no other says so.
+
+    ``given``: by its name, what is true, or not empty, if it was given.
+    """
+    if idle := [name for name, value in given.items() if value is not None and value is not False]:
+        raise typer.BadParameter(f"{', '.join(idle)}: {why}")
+
+
+def mesh_folders(roots: Sequence[Path] | None) -> tuple[Path, ...]:
+    """Return what ``--mesh-root`` names; raise JobError where one is no folder."""
+    for root in roots or ():
+        if not root.is_dir():
+            raise JobError(f"--mesh-root: {shown(str(root))} is not a folder.")
+    return tuple(roots or ())
 
 
 JobFile = Annotated[Path, argument("JOB", "The job file (TOML).")]

@@ -121,8 +121,6 @@ def base(tracker: str | None) -> Array:
 def sight(tracker: str | None, facing: str | None, acceptance: str, nearest: str, farthest: str | None) -> Sight | None:
     """Return what the tracker sees; None where nothing is said of it."""
     if tracker is None:
-        if facing is not None or farthest is not None:
-            raise JobError("facing, farthest: say with --tracker where the tracker is.")
         return None
     x, y, z = (0.0, 0.0, 1.0) if facing is None else map(float, _three(facing, "facing"))
     return Sight(

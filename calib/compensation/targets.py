@@ -151,6 +151,16 @@ def corrections(
     return found
 
 
+def idle(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame, clamp: bool) -> tuple[str, ...]:
+    """Return what is to be said of wishes that change nothing of these targets."""
+    said = []
+    if wanted.poses is None and frame != "base":
+        said.append(f"{wanted.table.where}: holds joint targets, which are in no frame: --frame {frame} has no effect.")
+    if clamp and model.residual_model is None:
+        said.append("The machine has no residual model: --clamp has no effect.")
+    return tuple(said)
+
+
 @checked
 def corrected_csv(model: CalibratedMachine, wanted: Targets, found: Corrections) -> str:
     """Return the table with corrected joints, in the units of its header, and what is expected of every row.

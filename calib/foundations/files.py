@@ -1,6 +1,7 @@
 """Files of users are read with a guard; files of ours appear whole or not at all."""
 
 import contextlib
+import errno
 import hashlib
 import os
 import secrets
@@ -143,12 +144,14 @@ def sha256(data: bytes) -> str:
 def refuse_taken(*paths: Path | None) -> None:
     """Raise OutputError when something, be it a link that leads nowhere, has the name of a file that is to be new.
 
-    None stands for a file that is not asked for.
+    Also when there is no folder for it, before work is done for it. None stands for a file that is not asked for.
     """
     for path in paths:
         # What hides from this user, or has no name that a file can have, the attempt to write it finds out.
         if path is not None and os.path.lexists(path):
             raise OutputError(f"{path}: already exists; choose another name.")
+        if path is not None and not os.path.lexists(path.parent):
+            raise OutputError(f"{path}: cannot be written ({os.strerror(errno.ENOENT)}).")
 
 
 def stamp(path: Path) -> tuple[int, int, int] | None:

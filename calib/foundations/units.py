@@ -83,6 +83,7 @@ DISPLAY = {
     "s": Display(1.0 / MS, "ms"),
     "s/s": Display(1.0 / MICRO, "us/s"),
     "decade": Display(1.0, "decade"),
+    "Nm": Display(1.0, "Nm"),
 }
 DISPLAY_OF: dict[str, Display] = {"length": DISPLAY["m"], "angle": DISPLAY["rad"]}
 

@@ -11,6 +11,9 @@ from calib.measurement.lens import BENT, CENTRE, FOCAL, NAMES, RATIONAL
 from calib.measurement.measurements import ONLY_SETUP
 from calib.robot.terms import KINDS
 
+# Kinds of which no closed form finds the tool: the search begins where the job says, or at the tip link.
+_FROM_A_START = frozenset({"distance", "pair_distance", "plane", "indicator"})
+
 
 def contradictions(job: Job) -> Iterator[str]:
     """Yield what no single field can know: keys that point nowhere, or that another key makes meaningless."""
@@ -46,7 +49,8 @@ def contradictions(job: Job) -> Iterator[str]:
     for i, relation in enumerate(job.relations):
         yield from _relation_contradictions(f"relations[{i}]", relation)
     yield from _of_bases(job)
-    if job.tools and job.error_model.tool != "fixed":
+    shown = {section.observes for section in job.measurements if section.use == "identify"} - _FROM_A_START
+    if job.tools and job.error_model.tool != "fixed" and shown:
         yield 'tools: poses are given, and error_model.tool leaves them free; write tool = "fixed" there.'
 
 

@@ -8,13 +8,12 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 from calib.foundations.arguments import checked
 from calib.foundations.errors import CalibError, JobError, MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import symbols
-from calib.foundations.words import listed, refuse_other
+from calib.foundations.words import listed, refuse_other, shown
 from calib.job.chains import Chain, chains
 from calib.job.foreign.answers import Answers, AskedError, ask, run_of
 from calib.job.foreign.reader import read
@@ -28,6 +27,8 @@ from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
 
 _HELD_OUT = 0.25
+# Kinds that columns tell; other kinds need what only a job says.
+_TOLD_APART: tuple[Kind, ...] = ("position", "pose", "socket", "distance")
 _VALIDATION = re.compile(r"valid|verif|test|check|held|control", re.IGNORECASE)
 
 
@@ -75,6 +76,11 @@ def propose(
         arm = robot or _some_robot(document, tip)
         return Proposal(str(urdf), arm, tuple(tables), tuple(reasons), (asked.question,))
     assert robot is not None, "there are files"
+    if orientation is not None and all(table.columns.orientation is None for table in tables):
+        raise JobError(
+            f"orientation: {shown(orientation)} says what three angles or a matrix are, and no table has them; leave "
+            "it out."
+        )
     shared, said = _shared_out(tables)
     return Proposal(str(urdf), robot, shared, (*reasons, *said), ())
 
@@ -84,7 +90,7 @@ def _refuse_answers(answers: Answers) -> None:
         ("angles", answers.angles, symbols("angle")),
         ("lengths", answers.lengths, symbols("length")),
         ("orientation", answers.orientation, ORIENTATIONS),
-        ("observes", answers.observes, get_args(Kind)),
+        ("observes", answers.observes, _TOLD_APART),
     ):
         if given is not None:
             refuse_other(given, allowed, name)

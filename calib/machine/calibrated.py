@@ -20,6 +20,7 @@ from calib.machine.tool_motion import tool_jacobian
 from calib.machine.uncertainty import NoiseLevel, Uncertainty
 from calib.measurement.kinds import UNIT_OF
 from calib.measurement.measurements import ONLY_SETUP, Measurements
+from calib.measurement.streams.stream import SHIFTS
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.joint_terms import in_setup
 from calib.robot.robot import Deviations, Robot, refuse_other_deviations
@@ -181,8 +182,13 @@ class CalibratedMachine:
     def with_own_names(self, data: Measurements) -> Measurements:
         """Return the data with tools and set-ups numbered as the machine's, under the loads of these set-ups.
 
-        Raises MeasurementError for others.
+        Raises MeasurementError for others, and for streams by a clock that only their fit knows.
         """
+        if not data.uses.keys().isdisjoint(SHIFTS):
+            raise MeasurementError(
+                f"{data.where}: its clock is free, and a machine by itself does not know it; judge these rows with "
+                "their fit, by calib.assess."
+            )
         data = data.loaded(self.robot)
 
         def numbers(what: str, own: Sequence[str], names: Sequence[str]) -> IntArray:

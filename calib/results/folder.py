@@ -197,7 +197,7 @@ def robot_errors(folder: Path) -> dict[str, float]:
         raise OutputError(
             f"{folder / RESULT_FILE}: the parameter {shown(wrong[0])} is not a number up to {_LARGEST_VALUE:g}."
         )
-    of_set_up = ("base", "tool", "target", "length", "lens", "board")
+    of_set_up = ("base", "tool", "target", "length", "lens", "board", "clock")
     return {name: value for name, value in found.items() if name.partition(".")[0] not in of_set_up}
 
 

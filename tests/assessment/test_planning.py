@@ -211,7 +211,6 @@ def test_poses_that_the_arm_cannot_have_are_told(tmp_path: Path, monkeypatch: py
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        (("--facing", "0 0 1"), "facing, farthest: say with --tracker where the tracker is."),
         (("--tool", "1 2 mm"), "tool: '1 2 mm' is not three numbers, like '50 0 50 mm'."),
         (("--misfit", "3 deg"), "misfit: unit 'deg' is not a unit of length; allowed are m, cm, mm, um, inch."),
         (("--candidates", "none.csv"), "none.csv: there is no such file."),

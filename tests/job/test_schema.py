@@ -3,6 +3,7 @@
 import datetime
 import json
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -119,3 +120,23 @@ def test_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> None:
     plain = read_job(CASE / JOB)
     (tmp_path / JOB).write_bytes(b"\xef\xbb\xbf" + (CASE / JOB).read_bytes().replace(b"\n", b"\r\n"))
     assert read_job(tmp_path / JOB) == plain
+
+
+@pytest.mark.parametrize(
+    ("kinds", "free"),
+    [
+        (("plane",), True),
+        (("distance", "pair_distance", "indicator"), True),
+        (("plane", "position"), False),
+        (("socket",), False),
+    ],
+)
+def test_a_free_tool_begins_where_the_job_says_where_nothing_shows_it(kinds: tuple[str, ...], free: bool) -> None:
+    text = 'schema = 1\n[robot]\nurdf = "arm.urdf"\n[error_model]\ntool = "pose"\n[tools.tool]\n'
+    text += 'position = ["10 mm", "0 mm", "5 mm"]\nquaternion = [1, 0, 0, 0]\n'
+    text += "".join(f'[[measurements]]\nfile = "{kind}.csv"\nobserves = "{kind}"\n' for kind in kinds)
+    if free:
+        assert parse_job(tomllib.loads(text), "job.toml").error_model.tool == "pose"
+    else:
+        with pytest.raises(JobError, match=r"tools: poses are given, and .* leaves them free"):
+            parse_job(tomllib.loads(text), "job.toml")

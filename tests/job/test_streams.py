@@ -1,5 +1,6 @@
 """Jobs of streams: from two files to a folder of results, and what is wrong with them in one sentence."""
 
+import functools
 import json
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.foundations.errors import JobError
+from calib.foundations.errors import JobError, MeasurementError
 from scripts.simulate import streams as simulated
 from tests.support import streams
 from tests.support.cases import run
@@ -34,6 +35,16 @@ def test_a_job_of_streams_finds_clock_and_machine(case: Path) -> None:
         assert title in page
     assert "+7300." in page
     assert "us/s" in page
+
+    # What is made of the results: the clock is of the set-up, and no machine by itself knows it.
+    studied = run("sensitivity", case / "calibration.toml", "--errors", case / "out", "--json")
+    assert (studied.code, studied.err) == (0, "")
+    assert json.loads(studied.out)["groups"]
+    machine = calib.load_machine(case / "out")
+    data = calib.measuring.read_stream(case / "tracker.csv", machine.robot, case / "joints.csv", clock="free")
+    for judge in (machine.residuals, functools.partial(calib.verify, machine)):
+        with pytest.raises(MeasurementError, match="its clock is free, and a machine by itself does not know it"):
+            judge(data)
 
 
 def test_two_streams_of_one_clock_have_one_offset_and_the_second_its_latency(case: Path) -> None:

@@ -11,12 +11,14 @@ import pytest
 import calib
 from calib.job.inputs import load
 from calib.job.run import run
-from calib.presentation.sheets import choice_sheet
+from calib.presentation.sheets import SHOWN, choice_sheet
 from calib.presentation.tables import plain, sheet_table
 from calib.results.calibration import Calibration
 from calib.results.folder import write_results
+from calib.robot.terms import KINDS, JointTerm, Kind
 from tests.support import cases
-from tests.support.torques import table
+from tests.support.gears import UR10
+from tests.support.torques import ELBOW, OFFSETS, SOFT, table
 
 CASE = Path(__file__).parents[2] / "robots" / "irb2400"
 JOB = "calibration_harmonics.toml"
@@ -159,3 +161,27 @@ def test_parameters_are_told_with_their_units(given: tuple[Calibration, Path]) -
     told = calib.table(given[0].fit)
     assert "joint_2.cos_5" in told
     assert max(map(len, told.splitlines())) <= 80
+
+
+def test_offsets_of_torques_are_told_in_their_unit(tmp_path: Path) -> None:
+    cases.write_table(tmp_path / "measured.csv", table(1, 0.5, n=60, built=False))
+    (tmp_path / "job.toml").write_text(
+        f'schema = 1\n[robot]\nurdf = "{UR10[0]}"\ntip = "tool0"\n[error_model]\ntorque = {list(SOFT)}\n'
+        'torque_offsets = "free"\n[[measurements]]\nfile = "measured.csv"\nsigma = "0.03 mm"\nhold_out = 0.25\n',
+        encoding="utf-8",
+    )
+    said = cases.run("calibrate", tmp_path / "job.toml", "-o", tmp_path / "out", "-q")
+    assert (said.code, said.err) == (0, "")
+    report = (tmp_path / "out" / "report.md").read_text(encoding="utf-8").splitlines()
+    line = next(line for line in report if line.startswith(f"| {ELBOW}.torque_offset") and "Nm" in line)
+    number = next(float(cell) for cell in line.replace("|", " ").split()[1:])
+    assert number == pytest.approx(OFFSETS[ELBOW], abs=1.0)
+    for command in (("compare", tmp_path / "out", tmp_path / "out"), ("uncertainty", tmp_path / "out")):
+        assert cases.run(*command, "-q") == (0, "", "")
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.key)
+def test_every_coefficient_has_a_unit_that_is_shown(kind: Kind) -> None:
+    for name in kind.names:
+        for dimension in kind.coefficients:
+            assert kind.coefficient(JointTerm("joint", name, 1), dimension).unit in SHOWN

@@ -190,6 +190,9 @@ def test_rows_farther_apart_than_the_gap_are_called_so(made: Streams) -> None:
         "arrays: its rows are 0.0999 s apart, and gaps from 0.05 s on are not bridged; allow longer gaps, or measure "
         "more often."
     )
+    # As long as the gap itself, but for the last digits of times.
+    steps = {**made.seen, "time [s]": 0.05 * np.arange(len(made.seen["time [s]"]))}
+    assert refused(made, steps, made.joints, Clock(gap=0.05)).startswith("arrays: its rows are 0.05 s apart, and gaps")
 
 
 def test_options_of_clocks_are_checked(made: Streams) -> None:

@@ -4,11 +4,12 @@ import json
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.proposal.twins import TWINS
 from tests.support.cases import run
-from tests.support.people import PANDA, UR10
+from tests.support.people import PANDA, UR10, robot, session, text
 
 UR10_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 OF = {twin.name: twin for twin in TWINS}
@@ -143,6 +144,11 @@ def test_a_job_with_a_header_of_others_is_told_what_fits(folder: Path) -> None:
         (["--column", "x"], "--column: 'x' is not like 'x=X2': our name, and the title in the file."),
         (["--column", "x=Q"], "columns: x is to be 'Q', which is no column of measured.csv."),
         (["--tip", "nowhere"], "tip: 'nowhere' is not a link of"),
+        (["--observes", "plane"], "observes: 'plane' is not one of position, pose, socket, distance."),
+        (["--column", "foo=X"], "columns: 'foo' is neither a joint of the arm nor a known column."),
+        (["--column", "rx=X"], "columns: 'rx' is of an orientation, whose columns the fit finds;"),
+        (["--column", "x=Y"], "measured.csv: its columns cannot be read as answered, 'x=Y'; name"),
+        (["--orientation", "abc"], "orientation: 'abc' says what three angles or a matrix are, and no table has them;"),
     ],
 )
 def test_answers_that_are_none(folder: Path, options: list[str], sentence: str) -> None:
@@ -150,3 +156,21 @@ def test_answers_that_are_none(folder: Path, options: list[str], sentence: str) 
     said = run("check", UR10, "measured.csv", *options)
     assert said.code == 1
     assert said.err.startswith(f"Error: {sentence}")
+
+
+def test_a_torque_may_be_named(folder: Path) -> None:
+    s = session()
+    torque = np.cos(s.readings[:, 0])
+    titles = [*(f"{reading.name} [deg]" for reading in robot(UR10, "tool0").readings), "x [mm]", "y [mm]", "z [mm]"]
+    measured = [np.degrees(s.readings), 1e3 * s.position, torque]
+    (folder / "measured.csv").write_text(text([*titles, "load [Nm]"], measured), encoding="utf-8")
+    joint = robot(UR10, "tool0").readings[1].name
+    said = run("init", UR10, "measured.csv", "--column", f"tau_{joint} [Nm]=load", "-q")
+    assert said == (0, "", "")
+    assert f'"tau_{joint} [Nm]" = "load [Nm]"' in (folder / "calibration.toml").read_text(encoding="utf-8")
+
+
+def test_no_folder_for_the_job_is_said_at_once(folder: Path) -> None:
+    put(folder, "no units")
+    said = run("init", UR10, "measured.csv", "-o", "nowhere/calibration.toml")
+    assert said == (1, "", "Error: nowhere/calibration.toml: cannot be written (No such file or directory).\n")

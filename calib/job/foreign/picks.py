@@ -127,7 +127,14 @@ def _as_answered(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
             ours |= dict(zip("xyz", pick.point.columns, strict=True))
         return all(seen.column(theirs) == ours.get(name, seen.column(theirs)) for name, theirs in seen.named.items())
 
-    return [pick for pick in picks if holds(pick)]
+    held = [pick for pick in picks if holds(pick)]
+    if picks and not held:
+        answers = listed([f"{ours}={theirs}" for ours, theirs in seen.named.items()])
+        raise MeasurementError(
+            f"{seen.raw.where}: its columns cannot be read as answered, {answers}; name the columns of all joints, or "
+            "all of x, y, z."
+        )
+    return held
 
 
 def no_joints(seen: Seen) -> Exception:

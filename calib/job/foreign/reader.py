@@ -12,9 +12,8 @@ from calib.identification.followed import FEWEST_ROWS, pivots
 from calib.job.foreign import fits
 from calib.job.foreign.answers import Answers, Found, Pick, Trial, ask, run_of, values_of
 from calib.job.foreign.picks import no_joints, picks_of
-from calib.job.foreign.seen import Seen, is_ours
+from calib.job.foreign.seen import CHOSEN, Seen, is_ours
 from calib.job.foreign.turns import orientation_of
-from calib.measurement.columns import KNOWN
 from calib.measurement.kinds import Kind
 from calib.measurement.orientations import ANGLES, MATRIX, ORIENTATIONS
 from calib.measurement.raw import RawColumn, RawTable, split_title
@@ -203,12 +202,13 @@ def _names(seen: Seen, pick: Pick, units: tuple[str, str, str]) -> dict[str, str
 
 def _result(seen: Seen, pick: Pick, kind: Kind, names: dict[str, str], orientation: str | None) -> Found:
     robot = seen.robot(pick.arm)
-    own = KNOWN - {*"xyz", *QUATERNION_COLUMNS}
-    given = {ours: theirs for ours, theirs in (seen.answers.columns or {}).items() if split_title(ours)[0] in own}
+    own = CHOSEN - {*"xyz"}
+    told = {f"{what}{reading.name}" for what in (TORQUE, APPROACH) for reading in robot.readings}
+    answered = (seen.answers.columns or {}).items()
+    given = {ours: theirs for ours, theirs in answered if split_title(ours)[0] in own | told}
     names |= {ours: seen.raw.columns[seen.column(theirs)].title for ours, theirs in given.items()}
     taken = set(names.values())
     ours = {split_title(name)[0] for name in names}
-    told = {f"{what}{reading.name}" for what in (TORQUE, APPROACH) for reading in robot.readings}
     ignore = []
     for column in seen.raw.columns:
         if column.title in taken:

@@ -1,20 +1,26 @@
 """What is looked at while one table is read, and what has been concluded so far."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from calib.foundations.arrays import BoolArray
 from calib.foundations.errors import JobError
+from calib.foundations.words import shown
 from calib.job.chains import Chain, chains
 from calib.job.foreign.answers import Answers, run_of
+from calib.measurement.columns import KNOWN
+from calib.measurement.orientations import ANGLES, MATRIX
 from calib.measurement.raw import RawColumn, RawTable
 from calib.measurement.roles import Roles, roles
-from calib.measurement.table import holds_words
+from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TORQUE, holds_words, nearest
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
+
+# Columns beside joints for which a person may name one of the file's. Of orientations the fit decides.
+CHOSEN = KNOWN - {*QUATERNION_COLUMNS}
 
 
 class Seen:
@@ -34,7 +40,11 @@ class Seen:
         self.known = roles(raw) if raw.named else Roles((), (), (), (), None, frozenset())
         self.named = answers.named()
         self.reasons: list[str] = []
+        joints = {name for arm in self.arms for name in arm.joints}
+        told = {f"{what}{name}" for what in (APPROACH, TORQUE) for name in joints}
         for ours, theirs in self.named.items():
+            if ours not in joints | told | CHOSEN:
+                raise JobError(f"columns: {_not_chosen(ours, sorted({*joints, *told, *CHOSEN}))}")
             if not any(theirs in (column.title, column.name) for column in raw.columns):
                 raise JobError(f"columns: {ours} is to be {theirs!r}, which is no column of {raw.where}.")
 
@@ -70,6 +80,12 @@ class Seen:
     def titles(self, columns: Iterable[int]) -> str:
         """Return the titles of columns, the middle of many left out."""
         return run_of([self.raw.columns[k].title for k in columns])
+
+
+def _not_chosen(name: str, allowed: Sequence[str]) -> str:
+    if name in (*QUATERNION_COLUMNS, *ANGLES, *MATRIX):
+        return f"{name!r} is of an orientation, whose columns the fit finds; say --orientation where it asks."
+    return f"{shown(name)} is neither a joint of the arm nor a known column{nearest(name, allowed)}."
 
 
 def is_ours(column: RawColumn) -> bool:

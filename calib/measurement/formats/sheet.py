@@ -23,12 +23,13 @@ _XML = (b"<?xml", b"<!--", b"<robot")
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """Cells of text below ``titles``; ``remarks``: how they were had."""
+    """Cells of text below ``titles``; ``remarks``: how they were had; ``of_part``: of one of several parts of a log."""
 
     titles: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     where: str
     remarks: tuple[str, ...] = ()
+    of_part: bool = False
 
     def csv(self) -> str:
         """Return the sheet as a comma-separated table; one without names has no header."""
@@ -76,7 +77,7 @@ def _of_log(data: bytes, where: str, part: str | None) -> Sheet | None:
     titles, rows, said = logs.of_motive(text, where, part)
     if not rows:
         raise MeasurementError(f"{where}: has a header and no rows.")
-    return Sheet(tuple(titles), tuple(map(tuple, rows)), where, (said,))
+    return Sheet(tuple(titles), tuple(map(tuple, rows)), where, (said,), of_part=True)
 
 
 def _with_names_of_log(sheet: Sheet) -> Sheet:
@@ -171,6 +172,8 @@ def stacked(sheets: Sequence[Sheet], title: str) -> Sheet:
     columns differ, two files have the same name, or ``title`` is one of the columns.
     """
     first = sheets[0]
+    if not title.strip():
+        raise MeasurementError("stack: a column without a title cannot be read again; give it one.")
     for sheet in sheets:
         if sheet.titles != first.titles:
             raise MeasurementError(

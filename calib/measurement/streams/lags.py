@@ -96,8 +96,9 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
                 "give a part of the rows, or correct the unit of 'time'."
             )
     measured = _speeds(seen.times, seen.points, gap)
-    if not measured.known.any():
-        step = float(np.median(np.diff(seen.times)))
+    step = float(np.median(np.diff(seen.times)))
+    # Equal steps differ in their last digits.
+    if step > (1.0 - 1e-6) * gap or not measured.known.any():
         raise MeasurementError(
             f"{seen.where}: its rows are {step:.4g} s apart, and gaps from {gap:.4g} s on are not bridged; allow "
             "longer gaps, or measure more often."
