@@ -22,7 +22,7 @@ def toml_text(text: str) -> str:
 
 
 def seen_from(folder: Path, path: str | Path) -> str:
-    """Return a path as a file in ``folder`` names it: relative, and to the same file also where links are on the way."""
+    """Return a path as a file in ``folder`` names it: relative, and also behind links the same file."""
     if str(path).startswith(EXAMPLE):
         return str(path)
     found, there, own = os.path.relpath(path, folder), Path(path), folder.resolve()

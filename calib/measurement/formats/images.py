@@ -98,7 +98,8 @@ def read_image(file: Path) -> Array:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
     except cv2.error as e:
         if "_MAX_IMAGE_" in e.err:
-            raise MeasurementError(f"{file}: has too many pixels; {MOST_PIXELS // 1_000_000} million are allowed.") from e
+            most = MOST_PIXELS // 1_000_000
+            raise MeasurementError(f"{file}: has too many pixels; {most} million are allowed.") from e
         raise MeasurementError(f"{file}: OpenCV cannot read this image ({e.err}).") from e
     if image is None:
         raise MeasurementError(f"{file}: is not an image that OpenCV reads.")
