@@ -35,8 +35,9 @@ _UNKNOWN = "The page does not know this request."
 async def serve(folder: Path | None, port: int, started: Callable[[str, str], None]) -> None:
     """Serve the page until it is cancelled, or the process told to end.
 
-    ``folder``: where files are kept, else for as long as the page is served. ``port`` 0: any free one. ``started`` is told the address, which holds a secret: who has it may use the page; and an
-    address that leads there once, for whom others may watch. Raises OutputError where folder or port cannot be had.
+    ``folder``: where files are kept, else for as long as the page is served. ``port`` 0: any free one. ``started`` is
+    told the address, which holds a secret: who has it may use the page; and an address that leads there once, for whom
+    others may watch. Raises OutputError where folder or port cannot be had.
     """
     with private_folder(folder) as place:
         session, secret, once = Session(place), secrets.token_urlsafe(16), secrets.token_urlsafe(16)
