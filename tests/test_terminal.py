@@ -9,6 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from rich.console import Group
 
 from calib.job import example
 from calib.job.calibrate import steps_after_loading
@@ -16,7 +17,7 @@ from calib.job.inputs import load
 from calib.job.run import run as identify
 from calib.presentation.console import Steps, progress, time_left, time_taken
 from calib.presentation.report.document import Row, Sheet
-from calib.presentation.tables import broken, plain, sheet_table
+from calib.presentation.tables import broken, null_space_lines, plain, sheet_table
 from calib.results.folder import write_results
 from tests.support.cases import CASE, JOB, ROOT, copy_case, run, tree
 
@@ -108,6 +109,15 @@ def test_no_word_and_no_number_of_a_table_is_broken() -> None:
     assert all(any(piece.endswith(word) for word in words) for piece in first[1:])
     assert broken("one/two three.four", 7) == "one/two\nthree.\nfour"
     assert broken("indivisible", 4) == "indivisible"
+
+
+def test_names_in_tables_cannot_command_the_terminal() -> None:
+    evil = "a\x1b[31m\x9b2J\u202eb\u2028c"
+    sheet = Sheet.of(evil, ("name", ">n", evil), [(evil, "1", evil)], caption=evil)
+    shown = (plain(sheet_table(sheet)), plain(Group(*null_space_lines([evil]))))
+    for text in shown:
+        assert all(letter.isprintable() for line in text.split("\n") for letter in line)
+        assert r"a\x1b[31m\x9b2J\u202eb\u2028c" in text
 
 
 def test_steps_count_what_is_done_and_never_run_over() -> None:

@@ -84,10 +84,14 @@ def private_folder(path: Path | None) -> Iterator[Path]:
     """Give an empty folder that this user alone can enter; without a ``path`` it goes when the block ends.
 
     A folder that such a page has left is given as it is. Raises OutputError where ``path`` is there and none of these,
-    or another page is served from it.
+    or another page is served from it; without one, where the system has no place for temporary files.
     """
     if path is None:
-        with tempfile.TemporaryDirectory(prefix="calib-app-") as made:
+        with contextlib.ExitStack() as removed:
+            try:
+                made = removed.enter_context(tempfile.TemporaryDirectory(prefix="calib-app-"))
+            except OSError as e:
+                raise OutputError(f"no folder for files can be made ({e.strerror}); name one by --folder.") from e
             yield Path(made)
         return
     with sentences(path, OutputError, "cannot be made"):

@@ -3,6 +3,8 @@
 import asyncio
 import json
 import secrets
+import signal
+import threading
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
@@ -31,10 +33,11 @@ _UNKNOWN = "The page does not know this request."
 
 
 async def serve(folder: Path | None, port: int, started: Callable[[str, str], None]) -> None:
-    """Serve the page until it is cancelled. ``folder``: where files are kept, else for as long as the page is served.
+    """Serve the page until it is cancelled, or the process told to end.
 
-    ``port`` 0: any free one. ``started`` is told the address, which holds a secret: who has it may use the page; and an
-    address that leads there once, for whom others may watch. Raises OutputError where folder or port cannot be had.
+    ``folder``: where files are kept, else for as long as the page is served. ``port`` 0: any free one. ``started`` is
+    told the address, which holds a secret: who has it may use the page; and an address that leads there once, for whom
+    others may watch. Raises OutputError where folder or port cannot be had.
     """
     with private_folder(folder) as place:
         session, secret, once = Session(place), secrets.token_urlsafe(16), secrets.token_urlsafe(16)
@@ -53,9 +56,21 @@ async def serve(folder: Path | None, port: int, started: Callable[[str, str], No
         async with listening(routes, port) as address:
             started(f"{address}{secret}/", f"{address}{once}")
             try:
-                await asyncio.Event().wait()
+                await _told_to_end()
             finally:
                 await session.cancel()
+
+
+async def _told_to_end() -> None:
+    """Wait until the system, or whoever closes the terminal, ends this process: files are tidied up as at Ctrl-C.
+
+    What is ignored, as by nohup, stays so.
+    """
+    told, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL and threading.current_thread() is threading.main_thread():
+            loop.add_signal_handler(number, told.set)
+    await told.wait()
 
 
 class _Door(Guarded):

@@ -1,6 +1,5 @@
 """``calib import``: files that are no plain tables, or whose joints and points are apart, as one table."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -161,8 +160,8 @@ def _images(folders: Sequence[Path], out: Path, robot: str | None, said: OfImage
         from calib.foundations.words import shown
         from calib.job.photographs import import_photographs
         from calib.job.read import read_board
+        from calib.job.toml_text import seen_from
         from calib.presentation.contact_sheet import Shot, contact_sheet
-        from calib.robot.sources import EXAMPLE
     if len(folders) != 1 or said.board is None or said.readings is None:
         raise typer.BadParameter("images takes one folder, --board and --readings.")
     if said.camera_on not in ("tip", "floor"):
@@ -174,24 +173,20 @@ def _images(folders: Sequence[Path], out: Path, robot: str | None, said: OfImage
         found = import_photographs(
             folders[0], print_, said.readings, urdf=robot, tip=said.tip, orientation=said.orientation, progress=say
         )
-    write_new(out, found.table())
+    folder = out.absolute().parent
+    model = urdf.name if found.urdf else None if robot is None else seen_from(folder, robot)
     shots = [
         Shot(one.name, one.size, one.small, one.found.pixels, one.found.sigma, one.left_out)
         for one in found.photographs
     ]
-    write_new(page, contact_sheet(f"Photographs of {folders[0].name}", shots))
-    written = [out, page]
-    model = urdf.name if found.urdf else robot
+    texts = {out: found.table(), page: contact_sheet(f"Photographs of {folders[0].name}", shots)}
     if found.urdf:
-        write_new(urdf, found.urdf)
-        written.append(urdf)
+        texts[urdf] = found.urdf
     if model is not None:
-        if not (found.urdf or model.startswith(EXAMPLE)):
-            model = os.path.relpath(model, out.absolute().parent)
-        named = os.path.relpath(said.board, out.absolute().parent)
-        write_new(job, found.job(model, out.name, named, camera_on=said.camera_on))
-        written.append(job)
+        texts[job] = found.job(model, out.name, seen_from(folder, said.board), camera_on=said.camera_on)
+    for file, text in texts.items():
+        write_new(file, text)
     telling.tell(
-        lambda: {"files": [str(file) for file in written], **found.contents()},
-        lambda: [*found.sentences, f"Written: {', '.join(map(str, written))}."],
+        lambda: {"files": list(map(str, texts)), **found.contents()},
+        lambda: [*found.sentences, f"Written: {', '.join(map(str, texts))}."],
     )

@@ -1,5 +1,6 @@
 """``calib init``: from a URDF and files as they are to a job."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -47,11 +48,15 @@ def init(
 
 
 def _expanded(source: Path, output: Path) -> Path:
-    """Write the URDF of a xacro file beside the job, and return where."""
-    from calib.foundations.files import write_new
+    """Write the URDF of a xacro file beside the job, and return where; one that an earlier run has left is as good."""
+    from calib.foundations.errors import OutputError
+    from calib.foundations.files import read_bytes, write_new
     from calib.job.xacro import expanded
 
     name = source.name.removesuffix(".xacro").removesuffix(".urdf")
-    urdf = output.parent / f"{name}.urdf"
-    write_new(urdf, expanded(source))
+    urdf, made = output.parent / f"{name}.urdf", expanded(source)
+    if not os.path.lexists(urdf):
+        write_new(urdf, made)
+    elif read_bytes(urdf, OutputError) != made:
+        raise OutputError(f"{urdf}: already exists, and is not what {source} makes; move it, or take another folder.")
     return urdf

@@ -82,7 +82,7 @@ def proposed(urdf: str, files: Sequence[Path], given: Mapping[str, Any], *, ask:
 
 
 def _answer(question: "Question", given: Mapping[str, Any]) -> dict[str, Any]:
-    from calib.presentation.console import printable
+    from calib.foundations.words import printable
 
     typer.echo(printable(f"{question.text}:"), err=True)
     for k, choice in enumerate(question.choices, start=1):

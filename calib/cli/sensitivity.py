@@ -38,7 +38,7 @@ def sensitivity(
         from calib.job.inputs import load
         from calib.machine.model_file import load_machine
         from calib.presentation.command_tables import group_sheet, sensitivity_sentence, sensitivity_sheet
-        from calib.presentation.plots import figure_bytes, sensitivity_figure
+        from calib.presentation.plots import figure_bytes, load_matplotlib, sensitivity_figure
         from calib.presentation.tables import null_space_lines
         from calib.results.folder import robot_errors
     refuse_taken(plot)
@@ -64,6 +64,7 @@ def sensitivity(
         # matplotlib refuses to load for a window that it does not know, though none is opened, and tells of its cache.
         os.environ.pop("MPLBACKEND", None)
         logging.getLogger("matplotlib").setLevel(logging.ERROR)
+        load_matplotlib()
         write_new(plot, figure_bytes(sensitivity_figure(found), plot))
     telling.tell(
         lambda: {"parameters": found.records(), "groups": [] if study is None else study.records()},

@@ -6,6 +6,7 @@ somebody else has put there, counts for nothing. That an entry cannot be kept is
 
 import contextlib
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -17,6 +18,7 @@ _MOST = 300
 _LARGEST = 20_000_000
 _ENDING = ".calib"
 _DIGITS = 64
+_ENTRY = re.compile(rf"[0-9a-f]{{{_DIGITS}}}{re.escape(_ENDING)}")
 
 
 def folder() -> Path | None:
@@ -56,7 +58,8 @@ def keep(key: str, data: bytes) -> None:
     with contextlib.suppress(OutputError, OSError, ValueError):
         where.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_atomically(where / f"{key}{_ENDING}", _signed(key, data) + data)
-        entries = list(where.glob(f"*{_ENDING}"))
+        # Whoever names a folder may have files in it that end alike.
+        entries = [path for path in where.iterdir() if _ENTRY.fullmatch(path.name)]
         if len(entries) > _MOST:
             for old in sorted(entries, key=lambda path: path.stat().st_mtime)[: len(entries) - _MOST]:
                 old.unlink()

@@ -191,7 +191,13 @@ def _begun(place: _Place, listed: Collection[str]) -> Iterator[_Work]:
     """Make a hidden folder, which only this user can enter; in the end nothing is left of it."""
     name = f".{place.name}.{secrets.token_hex(4)}.calib"
     os.mkdir(name, 0o700, dir_fd=place.above)
-    with opened_folder(name, place.above) as handle:
+    with contextlib.ExitStack() as closing:
+        try:
+            handle = closing.enter_context(opened_folder(name, place.above))
+        except OSError:  # a umask leaves not even this user a folder that can be entered
+            with contextlib.suppress(OSError):
+                os.rmdir(name, dir_fd=place.above)
+            raise
         if names_in(handle):
             raise OutputError(f"{place.path}: another folder has taken the place of {name}; try again.")
         _had(handle, fcntl.LOCK_EX)  # tells others that it is being written

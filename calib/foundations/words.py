@@ -38,3 +38,11 @@ def near(name: str, known: Iterable[str], most: int = 3, likeness: float = 0.6) 
     """Return the known words that are like ``name``, the likest first; of very many or very long ones, of the first."""
     short = [word for word in known if len(word) <= _LONGEST_COMPARED][:_MOST_COMPARED]
     return difflib.get_close_matches(name[:_LONGEST_COMPARED], short, most, likeness)
+
+
+def printable(text: str) -> str:
+    """Return a sentence with an escape for every character that does not print: line ends, controls, halves.
+
+    Names in it can then neither break the line nor command the terminal.
+    """
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

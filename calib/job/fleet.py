@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
+from unicodedata import normalize
 
 from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes, sha256
@@ -73,7 +74,7 @@ def fleet_jobs(paths: Sequence[Path], out: Path) -> tuple[FleetJob, ...]:
             name = path.absolute().parent.name + name[usual.end() :]
         if not name or name.startswith("."):
             raise JobError(f"{path}: {name!r} is no name for a folder of results; rename it.")
-        key = name.casefold()  # some file systems know no capitals
+        key = normalize("NFC", name).casefold()  # some file systems know no capitals, or one way to write an accent
         if key in SUMMARIES:
             raise JobError(f"{path}: its results would be written to {out / name}, where a summary belongs; rename it.")
         if key in found:

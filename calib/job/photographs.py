@@ -1,6 +1,5 @@
 """From a folder of photographs and the readings of the arm at each to a table of pixels, and a job that reads it."""
 
-import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from calib.foundations.files import sentences
 from calib.foundations.units import MM
 from calib.foundations.words import listed, shown
 from calib.job.chains import chains, whole_chains
+from calib.job.toml_text import toml_text
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.columns import POSITION, orientations, stacked
 from calib.measurement.formats.images import (
@@ -124,7 +124,7 @@ class Imported:
             "schema = 1",
             "",
             "[robot]",
-            f"urdf = {json.dumps(urdf)}",
+            f"urdf = {toml_text(urdf)}",
             *self._ends(),
             "",
             "[error_model]",
@@ -140,10 +140,10 @@ class Imported:
             f"size = [{self.size[0]}, {self.size[1]}]",
             "",
             "[[measurements]]",
-            f"file = {json.dumps(table)}",
+            f"file = {toml_text(table)}",
             'observes = "pixels"',
             'instrument = "camera"',
-            f"board = {json.dumps(board)}",
+            f"board = {toml_text(board)}",
             "hold_out = 0.25",
         ]
         return "\n".join(lines) + "\n"
@@ -152,8 +152,8 @@ class Imported:
         if self.robot is None:
             return ['tip = "flange"'] if self.urdf else []
         root = self.robot.urdf.root
-        base = [] if self.robot.base == root else [f"base = {json.dumps(self.robot.base)}"]
-        return [f"tip = {json.dumps(self.robot.tip)}", *base]
+        base = [] if self.robot.base == root else [f"base = {toml_text(self.robot.base)}"]
+        return [f"tip = {toml_text(self.robot.tip)}", *base]
 
 
 def import_photographs(

@@ -1,12 +1,11 @@
 """What was found in files of others, why, and what is asked; and the job file that it makes."""
 
-import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from calib.foundations.brief import brief
+from calib.job.toml_text import seen_from, toml_text
 from calib.measurement.kinds import Kind
 from calib.measurement.table import Columns
 from calib.robot.robot import Robot
@@ -79,9 +78,9 @@ class Proposal:
         robot = self.robot
         lines = ["schema = 1", ""]
         lines += [f"# {reason}" for reason in map(_on_one_line, self.reasons)]
-        lines += ["", "[robot]", f"urdf = {_toml(_path(self.urdf, folder))}", f"tip = {_toml(robot.tip)}"]
+        lines += ["", "[robot]", f"urdf = {_named(self.urdf, folder)}", f"tip = {toml_text(robot.tip)}"]
         if robot.base != robot.urdf.root:
-            lines.append(f"base = {_toml(robot.base)}")
+            lines.append(f"base = {toml_text(robot.base)}")
         tool = "pose" if any(table.observes == "pose" for table in self.tables) else "position"
         lines += [
             "",
@@ -92,7 +91,7 @@ class Proposal:
             f'tool = "{tool}"',
         ]
         for table in self.tables:
-            lines += ["", "[[measurements]]", f"file = {_toml(_path(table.file, folder))}"]
+            lines += ["", "[[measurements]]", f"file = {_named(table.file, folder)}"]
             lines.append(f'observes = "{table.observes}"')
             lines += table_lines(table.columns)
             if table.use != "identify":
@@ -107,24 +106,17 @@ def table_lines(columns: Columns) -> list[str]:
     named = {ours: theirs for ours, theirs in columns.names.items() if ours != theirs}
     lines = []
     if named:
-        listed = ", ".join(f"{_toml(ours)} = {_toml(theirs)}" for ours, theirs in named.items())
+        listed = ", ".join(f"{toml_text(ours)} = {toml_text(theirs)}" for ours, theirs in named.items())
         lines.append(f"columns = {{ {listed} }}")
     if columns.ignore:
-        lines.append(f"ignore = [{', '.join(map(_toml, columns.ignore))}]")
+        lines.append(f"ignore = [{', '.join(map(toml_text, columns.ignore))}]")
     if columns.orientation is not None:
-        lines.append(f"orientation = {_toml(columns.orientation)}")
+        lines.append(f"orientation = {toml_text(columns.orientation)}")
     return lines
 
 
-def _path(path: str, folder: Path | None) -> str:
-    if folder is None or ":" in path.partition("/")[0]:
-        return path
-    return os.path.relpath(path, folder)
-
-
-def _toml(text: str) -> str:
-    """Return a text as a TOML string, whole: it is read again. JSON's differs in one character alone."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+def _named(path: str, folder: Path | None) -> str:
+    return toml_text(path if folder is None else seen_from(folder, path))
 
 
 def _on_one_line(text: str) -> str:

@@ -18,7 +18,8 @@ def expanded(path: Path) -> bytes:
     """
     if not path.is_file():
         raise RobotError(f"{path}: there is no such file.")
-    command = [sys.executable, "-c", _RUN, str(path.absolute())]
+    # No module is taken from the current folder: what is run is the file's code alone.
+    command = [sys.executable, "-P", "-c", _RUN, str(path.absolute())]
     try:
         done = subprocess.run(command, capture_output=True, timeout=_SECONDS, check=False, stdin=subprocess.DEVNULL)
     except subprocess.TimeoutExpired as e:

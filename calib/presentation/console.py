@@ -10,6 +10,7 @@ from rich.text import Text
 
 from calib.foundations.errors import OutputError
 from calib.foundations.units import MINUTE
+from calib.foundations.words import printable
 from calib.presentation.report.document import Prose, Report, Sheet
 from calib.presentation.tables import WIDTH, plain, sheet_table
 
@@ -149,11 +150,3 @@ def time_left(elapsed: float, done: float, total: float) -> str:
 def time_taken(elapsed: float, done: float, total: float) -> str:
     """Return which step is under way, of how many, and how long all have taken."""
     return f"step {min(done + 1.0, total):.0f} of {total:.0f}, {elapsed:.0f} s"
-
-
-def printable(text: str) -> str:
-    """Return a sentence with an escape for every character that does not print: line ends, controls, halves.
-
-    Names in it can then neither break the line nor command the terminal.
-    """
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

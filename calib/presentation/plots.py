@@ -1,9 +1,12 @@
 """Plots for people, as matplotlib figures that need no display: ``figure.savefig("name.svg")``.
 
 matplotlib is imported inside the functions, and pyplot nowhere: a figure belongs to its caller, not to a global state.
+Names are drawn as they are: two dollars in one make no formula of it (``parse_math``).
 """
 
+import contextlib
 import io
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -33,6 +36,15 @@ _BEFORE, _AFTER, _SOFT = "#d55e00", "#0072b2", "#8a949d"
 _ROW_OF_FIT = 0.2  # inches for one parameter and its name
 
 
+def load_matplotlib() -> None:
+    """Load matplotlib for a command that writes a figure: without the settings of the current folder.
+
+    Those are of whoever has put files there, and may have TeX run.
+    """
+    with contextlib.chdir("/"):
+        import_module("matplotlib")
+
+
 def figure_bytes(figure: "Figure", path: Path) -> bytes:
     """Return a figure in the format that the ending of a path names. Raises OutputError for any other ending."""
     kind = path.suffix.lower().removeprefix(".")
@@ -58,7 +70,7 @@ def sensitivity_figure(sensitivity: "Sensitivity") -> "Figure":
     # m per m is mm per mm, and m per rad is mm per mrad.
     axes.barh(rows, sensitivity.rms[order], height=0.7, color=[_COLOURS.get(p.unit, _OTHER) for p in parameters])
     axes.plot(sensitivity.largest[order], rows, linestyle="none", marker="|", markersize=8, color="black")
-    axes.set_yticks(rows, [p.name for p in parameters], fontsize=8)
+    axes.set_yticks(rows, [p.name for p in parameters], fontsize=8, parse_math=False)
     axes.set_ylim(-0.7, len(rows) - 0.3)
     axes.set_xlim(left=0.0)
     axes.set_xlabel("tip motion [mm] per mm and per mrad")
@@ -121,7 +133,7 @@ def _parameters(fit: Fit) -> "Figure":
         axes.axvline(0.0, color=_SOFT, linewidth=0.8)
         axes.errorbar(values[seen], places[seen], xerr=2.0 * sigmas[seen], fmt="o", markersize=4, color=_AFTER)
         axes.plot(values[~seen], places[~seen], "o", markersize=4, markerfacecolor="none", color=_SOFT)
-        axes.set_yticks(places, [fit.parameters[k].name for k in rows], fontsize=8)
+        axes.set_yticks(places, [fit.parameters[k].name for k in rows], fontsize=8, parse_math=False)
         axes.set_xlabel(f"value and two sigmas, conditional on the model [{shown}]; hollow: not identifiable")
         axes.spines[["top", "right", "left"]].set_visible(False)
     return figure
@@ -136,8 +148,8 @@ def _correlations(fit: Fit) -> "Figure":
     axes = figure.add_subplot()
     image = axes.imshow(r, vmin=-1.0, vmax=1.0, cmap="PuOr")
     names = [fit.parameters[k].name for k in seen]
-    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
-    axes.set_yticks(range(len(names)), names, fontsize=7)
+    axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7, parse_math=False)
+    axes.set_yticks(range(len(names)), names, fontsize=7, parse_math=False)
     figure.colorbar(image, label="correlation", shrink=0.6)
     return figure
 

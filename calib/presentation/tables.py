@@ -12,6 +12,7 @@ from rich.text import Text
 
 from calib.assessment.metrics import metrics
 from calib.foundations.arguments import checked
+from calib.foundations.words import printable
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NullDirection
 from calib.presentation import sheets
@@ -25,7 +26,7 @@ _LEAST = 8
 @checked
 def table(fit: Fit) -> str:
     """Return the fit as plain text: errors before and after on its own data, its parameters and its doubts."""
-    return plain(Group(*map(sheet_table, fit_sheets(fit)), *map(Text, fit_sentences(fit))))
+    return plain(Group(*map(sheet_table, fit_sheets(fit)), *map(Text, map(printable, fit_sentences(fit)))))
 
 
 def fit_sheets(fit: Fit) -> tuple[Sheet, Sheet]:
@@ -59,8 +60,8 @@ def plain(renderable: RenderableType) -> str:
 def sheet_table(sheet: Sheet) -> Table:
     """Return a sheet as a table of the terminal."""
     out = Table(
-        title=sheet.title,
-        caption=sheet.caption or None,
+        title=printable(sheet.title),
+        caption=printable(sheet.caption) or None,
         title_justify="left",
         caption_justify="left",
         box=box.SIMPLE_HEAD,
@@ -74,7 +75,8 @@ def filled(out: Table, columns: Sequence[str], numbers: Collection[str], rows: S
     Where there is no room, first the gaps get narrower, then the first cells go on in another line after a dot, an
     underscore, a slash or a blank.
     """
-    cells = [row.cells for row in rows]
+    cells = [tuple(map(printable, row.cells)) for row in rows]
+    columns = tuple(map(printable, columns))
     heads = [max(map(len, name.split()), default=0) for name in columns]
     needed = [max([head, *(cell_len(row[k]) for row in cells)]) for k, head in enumerate(heads)]
     n = len(columns)
@@ -93,8 +95,8 @@ def filled(out: Table, columns: Sequence[str], numbers: Collection[str], rows: S
             overflow="ellipsis" if k else "fold",
             width=(needed[k] if k else min(width, room)) if tight else None,
         )
-    for text, row in zip(first, rows, strict=True):
-        out.add_row(text, *row.cells[1:], style="bold" if row.strong else None, end_section=row.ends_group)
+    for text, own, row in zip(first, cells, rows, strict=True):
+        out.add_row(text, *own[1:], style="bold" if row.strong else None, end_section=row.ends_group)
     return out
 
 
@@ -124,7 +126,7 @@ def null_space_lines(
     lines.add_column()
     lines.add_column(overflow="fold")
     for direction in null_space:
-        lines.add_row(" -", Text(str(direction)))
+        lines.add_row(" -", Text(printable(str(direction))))
     return [
         Text(f"The null space has {sheets.count(directions or len(null_space), 'direction', 'directions')}:"),
         lines,

@@ -288,7 +288,8 @@ def _read_mesh(path: Path, scale: Array, what: str) -> object:
     except RobotError:
         raise
     except (RuntimeError, ValueError, OSError, MemoryError) as e:
-        raise RobotError(f"{what}, which cannot be read, and is not judged.") from e
+        why = f" ({e.strerror})" if isinstance(e, OSError) and e.strerror else ""
+        raise RobotError(f"{what}, which cannot be read{why}, and is not judged.") from e
 
 
 def _without_materials(data: bytes) -> bytes:

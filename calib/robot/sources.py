@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
 from calib.foundations.errors import RobotError
+from calib.foundations.files import read_bytes
 from calib.foundations.words import near
 
 EXAMPLE = "example:"
@@ -131,9 +132,8 @@ def usual_mesh_roots(source: bytes, where: str) -> tuple[Path, ...]:
 def _package_name(folder: Path) -> str | None:
     """Return the name that a folder's ``package.xml`` states; None where it has none."""
     try:
-        with (folder / "package.xml").open("rb") as file:
-            match = _PACKAGE_NAME.search(file.read(_LARGEST_MANIFEST)) if (folder / "package.xml").is_file() else None
-    except (OSError, ValueError):
+        match = _PACKAGE_NAME.search(read_bytes(folder / "package.xml", RobotError, _LARGEST_MANIFEST))
+    except RobotError:
         return None
     return None if match is None else match[1].decode()
 

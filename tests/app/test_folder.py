@@ -5,6 +5,7 @@ import io
 import os
 import shutil
 import stat
+import tempfile
 import time
 import zipfile
 from pathlib import Path
@@ -96,6 +97,16 @@ def test_the_folder_is_private_and_was_empty(tmp_path: Path) -> None:
     for taken in (tmp_path / "there", tmp_path / "there" / "a.csv", tmp_path / "there" / "a.csv" / "x"):
         with pytest.raises(OutputError, match=r"choose another|cannot be made"), private_folder(taken):
             pytest.fail("was given")
+
+
+def test_without_a_place_for_temporary_files_a_folder_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(*_: object, **__: object) -> str:
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']")
+
+    monkeypatch.setattr(tempfile, "mkdtemp", none)
+    with pytest.raises(OutputError) as caught, private_folder(None):
+        pass
+    assert str(caught.value).endswith("found in ['/tmp']); name one by --folder.")
 
 
 def test_the_folder_as_one_file_has_no_links(tmp_path: Path) -> None:

@@ -50,8 +50,8 @@ class Server:
         assert match is not None, said
         self.origin, self.page = match[1], match[1] + match[2]
 
-    def end(self) -> tuple[int, str]:
-        self.process.send_signal(signal.SIGINT)
+    def end(self, number: signal.Signals = signal.SIGINT) -> tuple[int, str]:
+        self.process.send_signal(number)
         error = self.process.communicate(timeout=60)[1]
         return self.process.returncode, error
 
@@ -361,6 +361,22 @@ def test_work_can_be_cancelled_and_ends_with_the_server() -> None:
                 assert server.end() == (0, "")
                 assert not folder.exists()
             assert psutil.wait_procs(children, timeout=20)[1] == []
+    finally:
+        server.process.kill()
+        server.process.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_files_go_when_the_terminal_is_closed(tmp_path: Path, number: signal.Signals) -> None:
+    server = Server(TMPDIR=str(tmp_path))
+    try:
+        drop_case(server)
+        assert server.ask("POST", "look", {})[0] == 200
+        children = psutil.Process(server.process.pid).children(recursive=True)
+        assert list(tmp_path.iterdir())
+        assert server.end(number) == (0, "")
+        assert list(tmp_path.iterdir()) == []
+        assert psutil.wait_procs(children, timeout=20)[1] == []
     finally:
         server.process.kill()
         server.process.communicate()

@@ -1,6 +1,8 @@
 """The error model's coefficients against finite differences, and what is made of them."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ from calib.presentation.command_tables import group_sheet, sensitivity_sentence,
 from calib.presentation.plots import sensitivity_figure
 from calib.presentation.tables import plain, sheet_table
 from tests.support import machines
+from tests.support.cases import TABLE, URDF, copy_case, edit
 
 Array = machines.Array
 
@@ -197,10 +200,24 @@ def test_figure_has_a_bar_for_every_parameter_the_strongest_on_top(tmp_path: obj
     figure.savefig(f"{tmp_path}/sensitivity.png")
 
 
-def test_library_loads_no_matplotlib_for_tables() -> None:
-    import subprocess
-    import sys
+def test_names_are_no_formulas_and_strangers_settings_are_not_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process of its own: matplotlib reads its settings where it is loaded."""
+    job = copy_case(tmp_path)
+    for name in (URDF, TABLE, "validation.csv"):
+        edit(name, ("joint_1", "a$_{$"), everywhere=True)(tmp_path)
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\nsvg.fonttype: none\n")
+    monkeypatch.chdir(tmp_path)
+    run = "from calib.cli import main; main()"
+    done = subprocess.run([sys.executable, "-c", run, "sensitivity", job.name, "--plot", "s.svg", "-q"], check=False)
+    assert done.returncode == 0
+    text = (tmp_path / "s.svg").read_text()
+    assert "a$_{$.offset" in text
+    assert "<text" not in text
 
+
+def test_library_loads_no_matplotlib_for_tables() -> None:
     code = "import sys, calib.presentation.plots; sys.exit(any(m.startswith('matplotlib') for m in sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

@@ -73,3 +73,15 @@ def test_the_oldest_give_way(place: Path, monkeypatch: pytest.MonkeyPatch) -> No
         for entry in place.iterdir():
             os.utime(entry, ns=(int(entry.stem, 16), int(entry.stem, 16)))
     assert [cache.kept(f"{n:064x}") for n in range(5)] == [None, None, b"", b"", b""]
+
+
+def test_files_of_others_in_the_folder_stay(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "_MOST", 1)
+    place.mkdir(parents=True)
+    others = ("mine.calib", f"{KEY}.calib.bak", ".out.01234567.calib")
+    for name in others:
+        (place / name).touch()
+    for n in range(3):
+        cache.keep(f"{n:064x}", b"")
+    assert {path.name for path in place.iterdir()}.issuperset(others)
+    assert len(list(place.iterdir())) == len(others) + 1

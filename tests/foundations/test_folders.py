@@ -1,5 +1,7 @@
 """Folders appear whole or not at all, what a killed run leaves is put right, and nothing else is ever touched."""
 
+import contextlib
+import errno
 import json
 import os
 import shutil
@@ -11,6 +13,7 @@ import pytest
 
 from calib.foundations import folders
 from calib.foundations.errors import OutputError
+from calib.foundations.files import opened_folder
 from calib.foundations.folders import reading_folder, write_folder
 from tests.support.swaps import OURS, at_operation, fill, left, swap
 
@@ -61,6 +64,20 @@ def test_write_folder(tmp_path: Path) -> None:
         write_folder(out, {"a": content}, ("a",))
         assert (out / "a").read_bytes() == (content if isinstance(content, bytes) else content.encode())
         assert names(out.parent) == ["out"]
+
+
+def test_a_hidden_folder_that_cannot_be_entered_does_not_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As with a umask that takes the user's own permissions; root would enter it all the same."""
+
+    def entered(path: str | Path, inside: int | None = None) -> contextlib.AbstractContextManager[int]:
+        if inside is not None:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return opened_folder(path)
+
+    monkeypatch.setattr(folders, "opened_folder", entered)
+    with pytest.raises(OutputError, match="Permission denied"):
+        write_folder(tmp_path / "out", NEW)
+    assert names(tmp_path) == []
 
 
 @pytest.mark.parametrize("umask", [0o077, 0o022, 0o002])

@@ -66,6 +66,16 @@ def test_two_commands_lead_from_photographs_to_a_calibrated_arm(folder: Path, se
     assert [choice["chosen"] for choice in result["optics"]] == [1]
 
 
+def test_a_job_names_its_files_whatever_they_are_called(folder: Path) -> None:
+    """Behind a link, and with a letter that JSON writes otherwise than TOML."""
+    (folder / "far" / "away").mkdir(parents=True)
+    (folder / "link").symlink_to(folder / "far" / "away")
+    out = folder / "link" / "\U0001f916.csv"
+    by = ("--board", folder / "board.toml", "--readings", folder / "readings.csv", "--robot", UR5)
+    assert run("import", "images", folder / "photographs", *by, "-o", out, "-q") == (0, "", "")
+    assert run("check", out.with_suffix(".toml"), "-q") == (0, "", "")
+
+
 def test_poses_of_the_flange_alone_give_hand_eye(folder: Path, session: simulation.Session) -> None:
     assert imported(folder, "flange.csv").code == 0
     assert 'placements = "none"' in (folder / "marks.toml").read_text()

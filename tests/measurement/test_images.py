@@ -1,5 +1,7 @@
 """Corners of rendered photographs: where they are without bias, with sigmas that hold; and photographs of no use."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -128,3 +130,13 @@ def test_light_is_what_rays_through_pixels_bring() -> None:
     assert crossed.sum() > 40
     assert np.abs(grey - light[v, u]).max() < 0.09 * (look.white - look.black)
     assert np.sqrt(np.mean((grey - light[v, u])[crossed] ** 2)) < 4.0
+
+
+def test_an_image_of_too_many_pixels_is_not_unpacked(tmp_path: Path) -> None:
+    """OpenCV is told the bound before it is loaded, so that a process of its own shows it."""
+    (tmp_path / "a.pgm").write_bytes(b"P5\n20000 20000\n255\n")
+    read = "import sys; from pathlib import Path; from calib.measurement.formats.images import read_image as r; "
+    done = subprocess.run(
+        [sys.executable, "-c", f"{read} r(Path(sys.argv[1]))", tmp_path / "a.pgm"], capture_output=True, check=False
+    )
+    assert done.stderr.decode().endswith("a.pgm: has too many pixels; 160 million are allowed.\n")

@@ -257,6 +257,15 @@ def test_what_is_too_wide_is_refused_and_not_cut(folder: Path, monkeypatch: pyte
         read_sheet("a.xlsx")
 
 
+def test_arrays_of_too_many_values_are_refused_before_each_becomes_a_word(folder: Path) -> None:
+    np.savez_compressed(folder / "a.npz", q=np.zeros(20_000_000, dtype=np.uint8))
+    np.savez_compressed(folder / "b.npz", q=np.zeros((2, 1_000_000)))
+    with pytest.raises(calib.MeasurementError, match=r"^a.npz: has 20000000 values; allowed are 4000000\.$"):
+        read_sheet("a.npz")
+    with pytest.raises(calib.MeasurementError, match=r"^b.npz: has 1000000 columns; allowed are 1000\.$"):
+        read_sheet("b.npz")
+
+
 def test_what_unpacks_to_too_much_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("openpyxl")
     np.savez(folder / "m.npz", q=np.zeros((5, 3)))

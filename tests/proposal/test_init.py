@@ -1,12 +1,14 @@
 """``calib init``, and ``calib check`` of files before there is a job."""
 
 import json
+import shutil
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from calib.robot.sources import resolve
 from tests.proposal.twins import TWINS
 from tests.support.cases import run
 from tests.support.people import PANDA, UR10, robot, session, text
@@ -47,6 +49,33 @@ def test_titles_of_any_characters_are_written_whole(folder: Path) -> None:
     assert run("init", UR10, "measured.csv", "-q").code == 0
     job = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))
     assert job["measurements"][0]["columns"]["x [mm]"] == title
+
+
+@pytest.mark.parametrize(
+    ("urdf", "table", "job"),
+    [
+        ("arm.urdf", "measured.csv", "link/calibration.toml"),
+        ("link/../arm.urdf", "link/measured.csv", "calibration.toml"),
+        ("a:b.urdf", "measured.csv", "elsewhere/calibration.toml"),
+        ("./example:arm.urdf", "measured.csv", "elsewhere/deep/../deep/calibration.toml"),
+    ],
+)
+def test_a_job_finds_its_files_behind_links_and_whatever_they_are_called(
+    folder: Path, urdf: str, table: str, job: str
+) -> None:
+    (folder / "elsewhere" / "deep").mkdir(parents=True)
+    (folder / "link").symlink_to(folder / "elsewhere" / "deep")
+    shutil.copyfile(resolve(UR10), urdf)
+    put(folder, "FANUC", table)
+    assert run("init", urdf, table, "-o", job, "--yes", "-q") == (0, "", "")
+    assert run("check", job, "-q") == (0, "", "")
+
+
+def test_a_file_whose_name_is_no_text_is_told(folder: Path) -> None:
+    put(folder, "FANUC", "\udcff.csv")
+    said = run("init", UR10, "\udcff.csv", "--yes")
+    assert said.err == "Error: '\\udcff.csv': is not UTF-8 text, and no job can name it; rename it.\n"
+    assert not (folder / "calibration.toml").exists()
 
 
 def test_a_tracker_that_was_moved_is_told_with_the_row(folder: Path) -> None:

@@ -40,6 +40,21 @@ def test_xacro_runs_when_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert run("init", "no.xacro", "measured.csv", "--xacro").err == "Error: no.xacro: there is no such file.\n"
 
 
+def test_xacro_runs_again_and_takes_no_module_from_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("xacro")
+    monkeypatch.chdir(tmp_path)
+    put(tmp_path, "points alone")
+    (tmp_path / "arm.urdf.xacro").write_text(XACRO)
+    (tmp_path / "xacro.py").write_text("raise SystemExit('not asked for')")
+    first, again = (run("init", "arm.urdf.xacro", "measured.csv", "--xacro") for _ in range(2))
+    assert first == again
+    assert "no column is a joint of the arm (j)" in again.err
+    (tmp_path / "arm.urdf").write_text("mine")
+    said = run("init", "arm.urdf.xacro", "measured.csv", "--xacro")
+    assert said.err.startswith("Error: arm.urdf: already exists, and is not what arm.urdf.xacro makes; ")
+    assert (tmp_path / "arm.urdf").read_text() == "mine"
+
+
 def test_meshes_that_are_not_found_are_said_with_the_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     case = ROOT / "robots" / "arm_cmm"

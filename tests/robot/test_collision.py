@@ -1,6 +1,8 @@
 """Self-collision against geometry that can be worked out: balls on the links of arms."""
 
+import errno
 import os
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -166,6 +168,18 @@ def test_a_mesh_of_no_size_is_not_judged(tmp_path: Path, value: float) -> None:
     assert found is not None
     assert found.notes[0].endswith("'m.stl', which cannot be read, and is not judged.")
     assert len(found.shapes) == 1
+
+
+def test_a_disk_without_place_is_not_said_of_the_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> str:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "mkdtemp", full)
+    (tmp_path / "m.stl").write_bytes(bytes(80) + (1).to_bytes(4, "little") + bytes(50))
+    mesh = '<collision><geometry><mesh filename="m.stl"/></geometry></collision>'
+    found = self_collision(robot_of(with_shapes(ARM, {"base": mesh, "tip": ball((0, 0, 0))})), [tmp_path])
+    assert found is not None
+    assert found.notes[0].endswith("'m.stl', which cannot be read (No space left on device), and is not judged.")
 
 
 @pytest.mark.parametrize(

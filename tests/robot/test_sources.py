@@ -1,5 +1,6 @@
 """Examples are found by name, and nothing outside their folder is."""
 
+import os
 import time
 from importlib import metadata
 from pathlib import Path
@@ -116,6 +117,12 @@ def test_packages_are_found_above_the_urdf_beside_it_and_in_sourced_workspaces(
     found = {uri: sources.find_mesh(uri, roots) for uri in sources.mesh_uris(source)}
     where = {uri.split("/")[2]: path and path.parents[1].name for uri, path in found.items()}
     assert where == dict.fromkeys(names) | {name: name for name in names[:3]}
+
+
+def test_a_pipe_in_the_place_of_a_manifest_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "package.xml")
+    source = b'<mesh filename="package://arm/a.stl"/>'
+    assert sources.package_folders(source, tmp_path / "urdf" / "arm.urdf") == ()
 
 
 def test_meshes_are_found_in_one_pass() -> None:

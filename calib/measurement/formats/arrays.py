@@ -5,7 +5,7 @@ import re
 import tokenize
 import zipfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,8 @@ from calib.foundations.files import DAMAGED
 # Of the archive unpacked.
 _LARGEST = 200_000_000
 _MOST_COLUMNS = 1000
+# A megabyte of zeros unpacks to all that is allowed above, and each of them becomes a word.
+_MOST_VALUES = 4_000_000
 # Arrays of joints, whose columns have numbers also where there are three of them.
 _JOINTS = re.compile(r"q(?![a-z])|joint|angle|theta", re.IGNORECASE)
 
@@ -41,9 +43,13 @@ def from_npz(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[
     if not counts:
         raise MeasurementError(f"{where}: holds no arrays of numbers or words, with a row for every measurement.")
     rows = max(counts, key=lambda count: (counts[count], count))
-    columns = [column for name, array in arrays.items() if len(array) == rows for column in _columns(name, array)]
-    if len(columns) > _MOST_COLUMNS:
-        raise MeasurementError(f"{where}: has {len(columns)} columns; allowed are {_MOST_COLUMNS}.")
+    taken = {name: array for name, array in arrays.items() if len(array) == rows}
+    width = sum(array.size // rows for array in taken.values())
+    if width > _MOST_COLUMNS:
+        raise MeasurementError(f"{where}: has {width} columns; allowed are {_MOST_COLUMNS}.")
+    if width * rows > _MOST_VALUES:
+        raise MeasurementError(f"{where}: has {width * rows} values; allowed are {_MOST_VALUES}.")
+    columns = [column for name, array in taken.items() for column in _columns(name, array)]
     return [title for title, _ in columns], list(zip(*(cells for _, cells in columns), strict=True))
 
 
@@ -70,5 +76,7 @@ def _columns(name: str, array: npt.NDArray[np.generic]) -> Iterator[tuple[str, l
 
 
 def _cells(values: npt.NDArray[np.generic]) -> list[str]:
-    cells = (" ".join(str(value).split())[:200] for value in values.tolist())
+    cells: Iterable[str] = map(str, values.tolist())
+    if values.dtype.kind == "U":
+        cells = (" ".join(cell.split())[:200] for cell in cells)
     return ["" if cell == "nan" else cell for cell in cells]

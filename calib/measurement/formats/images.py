@@ -3,6 +3,7 @@
 OpenCV (Apache-2.0, extra ``calib[vision]``) tells which corner is which; where it is, :mod:`.corners` fits.
 """
 
+import os
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -19,7 +20,9 @@ from calib.measurement.prints import Print
 
 # What cameras write, by the ends of names.
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
-LARGEST_IMAGE, MOST_PIXELS, SMALLEST_SIDE = 200_000_000, 200_000_000, 16
+LARGEST_IMAGE, MOST_PIXELS, SMALLEST_SIDE = 200_000_000, 160_000_000, 16
+# OpenCV looks at this when it is loaded, and then before it unpacks an image.
+_BOUND = "OPENCV_IO_MAX_IMAGE_PIXELS"
 # Pixels looked at around a corner, as a share of the way to what is printed next to it.
 _SHARE = 0.85
 # How near to its horizon a mark of a board may lie, where its middle is at 1.
@@ -46,6 +49,7 @@ class Detection(NamedTuple):
 
 def opencv() -> Any:
     """Return OpenCV. Raises JobError where it is not installed, or older than its detector of ChArUco boards."""
+    os.environ.setdefault(_BOUND, str(MOST_PIXELS))
     try:
         cv2 = import_module("cv2")
     except ImportError as e:
@@ -93,6 +97,9 @@ def read_image(file: Path) -> Array:
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
     except cv2.error as e:
+        if "_MAX_IMAGE_" in e.err:
+            most = MOST_PIXELS // 1_000_000
+            raise MeasurementError(f"{file}: has too many pixels; {most} million are allowed.") from e
         raise MeasurementError(f"{file}: OpenCV cannot read this image ({e.err}).") from e
     if image is None:
         raise MeasurementError(f"{file}: is not an image that OpenCV reads.")
