@@ -20,7 +20,7 @@ def cell(
     placed_in: Annotated[
         PlacedIn, typer.Option("--placed-in", help="In whose frame the positioner's base was found.")
     ] = "arm",
-    prefix: Annotated[str | None, option("--prefix", "NAME", "Put before names that both use.")] = None,
+    prefix: Annotated[str | None, option("--prefix", "NAME", "Put before names that both use, as NAME_.")] = None,
     mesh_root: MeshRoots = None,
     telling: Telling = IN_WORDS,
 ) -> None:

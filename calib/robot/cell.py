@@ -55,7 +55,7 @@ def compose(first: Urdf, second: Urdf, parent: str, placement: Array, prefix: st
     first.parent_joint(parent)
     prefix = prefix or re.sub(r"[^A-Za-z0-9]+", "_", second.name).strip("_") or "second"
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", prefix, re.ASCII):
-        raise JobError(f"prefix: {prefix!r} is not made of letters, digits, dots, dashes and underscores.")
+        raise JobError(f"prefix: {prefix!r} is not made of the letters a to z, digits, dots, dashes and underscores.")
     joints_of_first = [joint.name for joint in first.joints]
     links = _renamed(second.links, first.links, prefix)
     joints = _renamed([joint.name for joint in second.joints], joints_of_first, prefix)

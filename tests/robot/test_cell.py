@@ -108,7 +108,7 @@ def test_what_cannot_be_composed_is_refused() -> None:
     first, second = parse_urdf(FIRST.encode(), "arm.urdf"), parse_urdf(SECOND.encode(), "table.urdf")
     with pytest.raises(calib.RobotError, match=r"arm.urdf: there is no link 'bse'; did you mean 'base'"):
         compose(first, second, "bse", T)
-    with pytest.raises(calib.JobError, match="prefix: 'a b' is not made of letters"):
+    with pytest.raises(calib.JobError, match="prefix: 'a b' is not made of the letters"):
         compose(first, second, "base", T, prefix="a b")
     with pytest.raises(calib.OutputError, match="reads back otherwise"):
         compose(first, second, "base", np.diag([2.0, 1.0, 1.0, 1.0]))

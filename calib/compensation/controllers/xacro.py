@@ -39,7 +39,8 @@ def export_xacro(model: CalibratedMachine) -> Export:
     for chained in robot.chain:
         if _NAME.fullmatch(chained.name) is None:
             raise OutputError(
-                f"joint {shown(chained.name)}: a key of this file is of letters, digits, underscores, dots and hyphens."
+                f"joint {shown(chained.name)}: a key of this file is of the letters a to z, digits, underscores, dots "
+                "and hyphens."
             )
         origin = origin_text(document.joint(chained.name).origin)
         origins[chained.name] = dict(zip(("xyz", "rpy"), origin, strict=True))
