@@ -13,15 +13,15 @@ from calib.foundations.linear import svd
 _SMALL_ANGLE = 1e-4
 _TINY = 1e-150
 _NEAR_HALF_TURN = -0.5
+# By component of a vector, the nine numbers of its cross-product matrix.
+_CROSS = np.array(
+    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], dtype=np.float64
+)
 
 
 def skew(v: Array) -> Array:
     """Return the cross-product matrices ``[v]x`` (..., 3, 3) of vectors (..., 3)."""
-    out = np.zeros((*v.shape, 3))
-    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
-    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
-    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
-    return out
+    return np.asarray((v @ _CROSS).reshape(*v.shape, 3))
 
 
 def placement(rotation: Array, translation: Array) -> Array:
@@ -42,6 +42,8 @@ def translation(t: Array) -> Array:
 def product(A: Array, B: Array) -> Array:
     """Return the products (n, 4, 4) of placements, each (n, 4, 4), or (4, 4) for all."""
     # Rows may come last in memory, where a product of matrices would be made one by one.
+    if A.ndim == 2 and B.ndim == 3:
+        return np.asarray((A @ B.transpose(2, 1, 0)).transpose(2, 1, 0))
     return np.asarray(np.einsum("...ij,...jk->...ik", A, B))
 
 
@@ -81,14 +83,15 @@ def log3(R: Array) -> Array:
     for i, j, k in ((0, 2, 1), (1, 0, 2), (2, 1, 0)):
         np.subtract(R[..., j, k], R[..., k, j], out=v[..., i])
     v *= 0.5
-    s = np.sqrt(np.einsum("...i,...i->...", v, v))[..., None]
-    c = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)[..., None]
-    w = v * np.divide(np.arctan2(s, c), s, out=np.ones_like(s), where=s > _TINY)
+    # Never 0, which divides: the angle over its sine is 1 there.
+    s = np.maximum(np.sqrt(np.einsum("...i,...i->...", v, v)), _TINY)
+    c = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
+    v *= (np.arctan2(s, c) / s)[..., None]
     # Towards half a turn the antisymmetric part fades and with it the axis; the quaternion keeps it.
-    far = c[..., 0] < _NEAR_HALF_TURN
-    if np.any(far):
-        w[far] = _log_of_quaternion(quaternion_of(R[far]))
-    return np.asarray(w)
+    far = c < _NEAR_HALF_TURN
+    if far.any():
+        v[far] = _log_of_quaternion(quaternion_of(R[far]))
+    return v
 
 
 def _log_of_quaternion(q: Array) -> Array:
@@ -99,9 +102,9 @@ def _log_of_quaternion(q: Array) -> Array:
 def left_jacobian_inverse(w: Array) -> Array:
     """Return Jl(w)^-1 (..., 3, 3): ``log(exp(d) exp(w)) = w + Jl(w)^-1 d`` to first order in d (..., 3)."""
     square = np.einsum("...i,...i->...", w, w)
-    half = 0.5 * np.sqrt(square)
-    c, turned = np.full_like(square, 1.0 / 12.0), half > 0.5 * _SMALL_ANGLE
-    c[turned] = (1.0 - half[turned] / np.tan(half[turned])) / square[turned]
+    # At smaller angles c is what it is here, but for its rounding errors.
+    half = np.maximum(0.5 * np.sqrt(square), 0.5 * _SMALL_ANGLE)
+    c = (1.0 - half / np.tan(half)) / (4.0 * half * half)
     # 1 - [w]x / 2 + c [w]x^2, where [w]x^2 = w w^T - |w|^2.
     out = (c[..., None] * w)[..., :, None] * w[..., None, :]
     out -= skew(0.5 * w)

@@ -775,8 +775,8 @@ class Rates:
         by_robot, by_tools = self._on(link)
         followed(numbers, by_robot, found)
         n = numbers.shape[-1:]
-        self._of_bases.add(numbers[0], np.broadcast_to(group, n), found)
-        by_tools.add(numbers[-1], np.broadcast_to(tool, n), found)
+        self._of_bases.add(numbers[:, 0], np.broadcast_to(group, n), found)
+        by_tools.add(numbers[:, -1], np.broadcast_to(tool, n), found)
 
     def _on(self, link: str) -> tuple[Array, FramesFollow]:
         """Return how local twists of what carries a link follow the robot (6 (w + 1), c + a), and the last by tools."""
@@ -795,8 +795,9 @@ class Rates:
         if key not in self._by:
             by_robot, by_tools = self._on(link)
             found = by_robot.copy()
-            found[:6, self._of_bases.columns[group]] += self._of_bases.by[group]
-            found[-6:, by_tools.columns[tool]] += by_tools.by[tool]
+            by_carrier = found.reshape(6, -1, found.shape[1])
+            by_carrier[:, 0, self._of_bases.columns[group]] += self._of_bases.by[group]
+            by_carrier[:, -1, by_tools.columns[tool]] += by_tools.by[tool]
             self._by[key] = found
         return self._by[key]
 

@@ -124,7 +124,8 @@ class TipMotion:
 
     ``tip``: where it is, and how it follows its carriers: the base, and the moving joints on its way. The local twists
     of these for a change ``e`` of the deviations (placements row by row, then offsets) are ``follow @ e``, with
-    ``follow`` (6 (w + 1), n) the same for all rows; the ways in which links give way are joints as well. ``rates`` (N,
+    ``follow`` (6 (w + 1), n), component by component, the same for all rows; the ways in which links give way are
+    joints as well. ``rates`` (N,
     k, n): how passive joints of closed loops follow deviations; k is 0 without loops. ``bases``: what terms add per
     unit of their coefficients; None without terms.
     """
@@ -417,7 +418,7 @@ class TipModel:
         """How local twists of the tip's carriers follow the deviations (6 (w + 1), n): as in :class:`TipMotion`."""
         by_placement = self._mechanism.of_chain(follow(self._skeleton, self._tip))
         every = np.concatenate([by_placement, self._nominal.by_offset(self._tip)], axis=2)
-        return every.reshape(6 * len(every), -1)
+        return every.reshape(-1, every.shape[2])
 
     def joint_positions(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
@@ -500,14 +501,14 @@ class Nominal:
         self._by_offset: dict[int, Array] = {}
 
     def by_offset(self, joint: int) -> Array:
-        """Return how local twists of what carries the end of a joint follow the offsets (w + 1, 6, nj)."""
+        """Return how local twists of what carries the end of a joint follow the offsets (6, w + 1, nj)."""
         if joint not in self._by_offset:
             m, way = self.mechanism, self.outline.path(joint).way
-            found = np.zeros((len(way) + 1, 6, m.offset_coupling.shape[1]))
+            found = np.zeros((6, len(way) + 1, m.offset_coupling.shape[1]))
             for k, j in enumerate(way):
                 if j not in self.passive:
                     # A joint's own motion commutes with a change of its position: the same for all rows.
-                    found[k + 1, 5 if self.outline.types[j] == "revolute" else 2] = m.offset_coupling[j]
+                    found[5 if self.outline.types[j] == "revolute" else 2, k + 1] = m.offset_coupling[j]
             self._by_offset[joint] = found
         return self._by_offset[joint]
 

@@ -117,13 +117,14 @@ class Outline:
 
 
 def follow(s: Skeleton, joint: int) -> Array:
-    """Return how local twists of what carries the end of a joint follow the deviations (w + 1, 6, 6 n).
+    """Return how local twists of what carries the end of a joint follow the deviations (6, w + 1, 6 n).
 
     A carrier is the base, or a moving joint on the way after its own motion, with all that is fixed to it.
     """
     path = s.outline.path(joint)
-    found = np.zeros((len(path.way) + 1, 6, len(s.placed), 6))
-    found[path.carriers, :, path.segments] = rigid.adjoint(s.carried[path.segments]) @ s.twists[path.segments]
+    found = np.zeros((6, len(path.way) + 1, len(s.placed), 6))
+    own = rigid.adjoint(s.carried[path.segments]) @ s.twists[path.segments]
+    found[:, path.carriers, path.segments] = own.transpose(1, 0, 2)
     return found.reshape(*found.shape[:2], -1)
 
 
