@@ -24,6 +24,10 @@ def skew(v: Array) -> Array:
     return np.asarray((v @ _CROSS).reshape(*v.shape, 3))
 
 
+# For a turn about x, y and z: which matrices (9) it is made of, times 1, its cosine and its sine.
+_TURNS = np.array([[np.outer(e, e), np.eye(3) - np.outer(e, e), skew(e)] for e in np.eye(3)]).reshape(3, 3, 9)
+
+
 def placement(rotation: Array, translation: Array) -> Array:
     """Return the placements (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
     shape = translation.shape[:-1]
@@ -62,6 +66,14 @@ def adjoint(T: Array) -> Array:
     return out
 
 
+def carried(T: Array, twists: Array) -> Array:
+    """Return Ad(T) (..., 6, 6) times columns of twists (..., 6, k), no adjoint being written out."""
+    R, (*_, k) = T[..., None, :3, :3], twists.shape
+    found = R @ twists.reshape(*twists.shape[:-2], 2, 3, k)
+    found[..., 0, :, :] += skew(T[..., :3, 3]) @ found[..., 1, :, :]
+    return np.asarray(found.reshape(*found.shape[:-3], 6, k))
+
+
 def rotation_about(axis: Array, angle: Array | float) -> Array:
     """Return the rotations (..., 3, 3) by ``angle`` (...) about the unit vector(s) ``axis`` (..., 3)."""
     angle = np.asarray(angle)[..., None, None]
@@ -79,19 +91,20 @@ def exp3(w: Array) -> Array:
 
 def log3(R: Array) -> Array:
     """Return the rotation vectors (..., 3) of rotations (..., 3, 3), with angles in [0, pi]."""
-    v = np.empty(R.shape[:-1])
+    # Components come first, here and below, so that what is done to all rows is done at once.
+    v = np.empty((3, *R.shape[:-2]))
     for i, j, k in ((0, 2, 1), (1, 0, 2), (2, 1, 0)):
-        np.subtract(R[..., j, k], R[..., k, j], out=v[..., i])
+        np.subtract(R[..., j, k], R[..., k, j], out=v[i, ...])
     v *= 0.5
     # Never 0, which divides: the angle over its sine is 1 there.
-    s = np.maximum(np.sqrt(np.einsum("...i,...i->...", v, v)), _TINY)
+    s = np.maximum(np.sqrt(np.einsum("i...,i...->...", v, v)), _TINY)
     c = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
-    v *= (np.arctan2(s, c) / s)[..., None]
+    v *= np.arctan2(s, c) / s
     # Towards half a turn the antisymmetric part fades and with it the axis; the quaternion keeps it.
     far = c < _NEAR_HALF_TURN
     if far.any():
-        v[far] = _log_of_quaternion(quaternion_of(R[far]))
-    return v
+        v[:, far] = _log_of_quaternion(quaternion_of(R[far])).T
+    return v.transpose(*range(1, v.ndim), 0)
 
 
 def _log_of_quaternion(q: Array) -> Array:
@@ -101,28 +114,32 @@ def _log_of_quaternion(q: Array) -> Array:
 
 def left_jacobian_inverse(w: Array) -> Array:
     """Return Jl(w)^-1 (..., 3, 3): ``log(exp(d) exp(w)) = w + Jl(w)^-1 d`` to first order in d (..., 3)."""
-    square = np.einsum("...i,...i->...", w, w)
+    v = w.transpose(-1, *range(w.ndim - 1))
+    square = np.einsum("i...,i...->...", v, v)
     # At smaller angles c is what it is here, but for its rounding errors.
     half = np.maximum(0.5 * np.sqrt(square), 0.5 * _SMALL_ANGLE)
     c = (1.0 - half / np.tan(half)) / (4.0 * half * half)
     # 1 - [w]x / 2 + c [w]x^2, where [w]x^2 = w w^T - |w|^2.
-    out = (c[..., None] * w)[..., :, None] * w[..., None, :]
-    out -= skew(0.5 * w)
-    np.einsum("...ii->...i", out)[...] += (1.0 - c * square)[..., None]
-    return np.asarray(out)
+    out = (c * v)[:, None] * v
+    np.einsum("ii...->i...", out)[...] += 1.0 - c * square
+    back: Array = out.transpose(*range(2, out.ndim), 0, 1)
+    back -= skew(0.5 * w)
+    return back
 
 
 def rx_ry_rz(angles: Array) -> Array:
     """Return Rx(a) Ry(b) Rz(c) (..., 3, 3) of angles (..., 3)."""
-    # Written out: every machine of every evaluation is made of these.
-    sin, cos = np.sin(angles), np.cos(angles)
-    sa, sb, sc = sin[..., 0], sin[..., 1], sin[..., 2]
-    ca, cb, cc = cos[..., 0], cos[..., 1], cos[..., 2]
-    R, sasb, casb = np.empty((*angles.shape, 3)), sa * sb, ca * sb
-    R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = cb * cc, -cb * sc, sb
-    R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = sasb * cc + ca * sc, ca * cc - sasb * sc, -sa * cb
-    R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = sa * sc - casb * cc, casb * sc + sa * cc, ca * cb
-    return R + 0.0  # no zero keeps a minus
+    x, y, z = turns(angles)
+    return np.asarray(x @ (y @ z) + 0.0)  # no zero keeps a minus
+
+
+def turns(angles: Array) -> Array:
+    """Return Rx(a), Ry(b) and Rz(c) (3, ..., 3, 3) of angles (..., 3)."""
+    own = angles.reshape(-1, 3).T
+    shares = np.ones((*own.shape, 3))
+    np.cos(own, out=shares[:, :, 1])
+    np.sin(own, out=shares[:, :, 2])
+    return np.asarray((shares @ _TURNS).reshape(3, *angles.shape, 3))
 
 
 def rpy_of(R: Array) -> Array:

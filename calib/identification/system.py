@@ -370,7 +370,7 @@ def residuals(
 
     ``nominals``: where they are made already.
     """
-    links, found = _Links(robot, at.deviations, nominals), []
+    links, found = _Links(robot, at, nominals), []
     for data in measurements:
         residual = np.empty(data.sigma.shape)
         for rows in _blocks(data):
@@ -393,15 +393,15 @@ def residuals(
 
 
 class _Links(dict[str, TipModel]):
-    """Models of a robot with deviations, by the link that they look at; "" is the robot's tip."""
+    """Models of a robot as the one of a machine is, by the link that they look at; "" is the robot's tip."""
 
-    def __init__(self, robot: Robot, deviations: Deviations, nominals: Nominals | None = None) -> None:
+    def __init__(self, robot: Robot, at: Machine, nominals: Nominals | None = None) -> None:
         super().__init__()
-        self._robot, self._deviations, self._nominals = robot, deviations, Nominals() if nominals is None else nominals
+        self._robot, self._at, self._nominals = robot, at, Nominals() if nominals is None else nominals
 
     def __missing__(self, link: str) -> TipModel:
         robot = self._robot if link in ("", self._robot.tip) else self._robot.with_tip(link)
-        found = TipModel(robot, self._deviations, self._nominals[self._robot])
+        found = TipModel(robot, self._at.deviations, self._nominals[self._robot], self._at.motions)
         self[link] = found
         return found
 
@@ -548,7 +548,9 @@ class FramesFollow(NamedTuple):
 
     def turned(self, twists: Array) -> "FramesFollow":
         """Return how something follows the parameters that follows the frames by matrices (k, 6, 6)."""
-        by = np.zeros_like(self.by)
+        if not self.by.size:
+            return self
+        by = np.zeros(self.by.shape)
         np.matmul(twists, self.by[:-1], out=by[:-1])
         return FramesFollow(self.columns, by)
 
@@ -617,7 +619,7 @@ class Rates:
     def __init__(self, problem: Problem, at: Machine, units: Array, split: Split | None = None) -> None:
         self._robot, self._frames = problem.model.robot, at.frames
         self._selection = own = problem.selection(units, split)
-        self._links = _Links(self._robot, at.deviations, problem.nominals)
+        self._links = _Links(self._robot, at, problem.nominals)
         self._of_bases, self._tool_twists = own.of_bases.turned(at.base_twists), at.tool_twists
         self._of_targets = own.of_targets.turned(at.target_twists)
         self._by_robot: dict[str, tuple[Array, FramesFollow]] = {}
@@ -782,7 +784,7 @@ class Rates:
         """Return how local twists of what carries a link follow the robot (6 (w + 1), c + a), and the last by tools."""
         if link not in self._by_robot:
             tip = self._links[link]
-            tools = self._selection.of_tools.turned(rigid.adjoint(tip.end @ self._frames.tools) @ self._tool_twists)
+            tools = self._selection.of_tools.turned(rigid.carried(tip.end @ self._frames.tools, self._tool_twists))
             self._by_robot[link] = tip.follow @ self._selection.of_robot, tools
         return self._by_robot[link]
 

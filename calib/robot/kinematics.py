@@ -18,10 +18,9 @@ MovingType = Literal["revolute", "prismatic"]
 
 # So many joints stand side by side for several rows; what Pinocchio keeps of more grows with their third power.
 _SIDE_BY_SIDE = 20
-# Origin, x, y and z of the root in its own axes; the last row of a placement; which of its columns are these.
-_ROOT = read_only(np.concatenate([np.zeros((1, 3)), np.eye(3)])[:, :, None])
+# The columns of a placement that are the root's own, and the last row of any.
+_ROOT = read_only(np.eye(4)[:, :3, None])
 _LAST = read_only(np.eye(4)[3, :, None])
-_ORIGIN_FIRST = [3, 0, 1, 2]
 
 
 class Tree(NamedTuple):
@@ -90,7 +89,7 @@ class Regressor:
     """Placements of a frame over N configurations, and how they follow the placements of the joints.
 
     ``way``: the w joints that carry the frame, of ``joints`` in all; no other one moves it. ``carriers`` (4, w + 1, 3,
-    N): origins, x, y and z, in the root's axes, of the root, then of every joint of the way after its own motion. The
+    N): x, y, z and origin, in the root's axes, of the root, then of every joint of the way after its own motion. The
     frame is at ``end`` (4, 4) in the last of them, and joint k of the way at ``placements[k]`` (w, 4, 4) in carrier k.
     Rows come last, so that what is done to all of them is done at once.
     """
@@ -112,8 +111,7 @@ class Regressor:
         # By column, and in these by row.
         found = np.empty((4, 4, n))
         found[:, 3] = _LAST
-        shares = placement.T[:, _ORIGIN_FIRST]
-        np.matmul(shares, self.carriers[:, -1].reshape(4, 3 * n), out=found.reshape(4, 4 * n)[:, : 3 * n])
+        np.matmul(placement.T, self.carriers[:, -1].reshape(4, 3 * n), out=found.reshape(4, 4 * n)[:, : 3 * n])
         return found.transpose(2, 1, 0)
 
     def through(self, rows: Follow, at: Array) -> Array:
@@ -122,7 +120,7 @@ class Regressor:
         ``rows``: how they follow a frame that moves with this one, in the root's axes; turns alone are found where they
         do not follow its shifts. ``at`` (N, 3): the origin of that frame.
         """
-        axes = self.carriers[1:]
+        axes, origins = self.carriers[:3], self.carriers[3]
         _, s, _, n = axes.shape
         if rows.shift is None:
             assert rows.turn is not None, "what follows neither shifts nor turns follows nothing"
@@ -131,7 +129,7 @@ class Regressor:
         # A shift of the frame by v and a turn by w, about its origin, change a number by a . v + b . w; a turn of
         # something at distance r from that origin by (r x a + b) . w.
         shifts, turns = _along(rows.shift, axes, found[:3]), found[3:]
-        arm = np.einsum("scn,kscn->ksn", at.T - self.carriers[0], axes)[:, :, None]
+        arm = np.einsum("scn,kscn->ksn", at.T - origins, axes)[:, :, None]
         for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
             np.multiply(arm[j], shifts[k], out=turns[i])
             turns[i] -= arm[k] * shifts[j]
@@ -170,8 +168,7 @@ class Regressor:
         """The placements (w, N, 4, 4) of the joints of the way in the root, before their own motion."""
         carriers = np.zeros((len(self.way), self.carriers.shape[3], 4, 4))
         carriers[:, :, 3, 3] = 1.0
-        carriers[:, :, :3, 3] = self.carriers[0, :-1].transpose(0, 2, 1)
-        carriers[:, :, :3, :3] = self.carriers[1:, :-1].transpose(1, 3, 2, 0)
+        carriers[:, :, :3] = self.carriers[:, :-1].transpose(1, 3, 2, 0)
         return np.asarray(carriers @ self.placements[:, None])
 
     @property
@@ -221,7 +218,7 @@ class Joints:
         self._placements = [[self._model.jointPlacements[nj * k + j + 1] for k in range(rows)] for j in range(nj)]
 
     def carriers(self, placements: Array, q: Array) -> Array:
-        """Return origins, x, y and z (4, nj + 1, 3, N) of the root, and of all joints after their own motion.
+        """Return x, y, z and origins (4, nj + 1, 3, N) of the root, and of all joints after their own motion.
 
         ``placements`` (nj, 4, 4) of the joints are those of :class:`Tree`; at configurations q (N, nj) in rad or m.
         """
@@ -242,7 +239,9 @@ class Joints:
             walked += left
         found = np.empty((4, nj + 1, 3, n))
         found[:, 0] = _ROOT
-        found[:, 1:] = np.frombuffer(walked).reshape(-1, nj, 4, 3)[:n].transpose(2, 1, 3, 0)
+        # Of every joint Pinocchio tells the origin first.
+        told = np.frombuffer(walked).reshape(-1, nj, 4, 3)[:n].transpose(2, 1, 3, 0)
+        found[3, 1:], found[:3, 1:] = told[0], told[1:]
         return found
 
 

@@ -20,6 +20,7 @@ from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
 from calib.foundations.words import listed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.deviation import Motions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import STANDARD_GRAVITY, Holding, Load, Payload, Weights, checked_gravity, checked_payload
 from calib.robot.kinematics import Joints, Kinematics, MovingType, Regressor, followed
@@ -116,6 +117,14 @@ class Deviations:
         own_fields(self)
         for name, shape in (("placements", (None, 6)), ("offsets", (None,)), ("terms", (None,))):
             refuse_shape(getattr(self, name), shape, f"deviations: {name}", RobotError)
+
+    @classmethod
+    def trusted(cls, placements: Array, offsets: Array, terms: Array) -> "Deviations":
+        """Return deviations that are known to be right, of arrays that nobody changes: nothing is looked at."""
+        made = object.__new__(cls)
+        for name, values in (("placements", placements), ("offsets", offsets), ("terms", terms)):
+            object.__setattr__(made, name, values)
+        return made
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -395,15 +404,23 @@ class TipModel:
 
     ``types`` of all joints that move and ``passive``, numbers of those that loops determine; ``end`` (4, 4): the tip in
     the last joint that carries it. ``nominal``: that of the robot, or of the same one with another tip, where it is
-    made once for many deviations.
+    made once for many deviations. ``motions``: of the placements of these, where they are made already.
     """
 
-    def __init__(self, robot: Robot, deviations: Deviations | None = None, nominal: "Nominal | None" = None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        deviations: Deviations | None = None,
+        nominal: "Nominal | None" = None,
+        motions: Motions | None = None,
+    ) -> None:
         d = deviations or robot.no_deviations()
         self._nominal = nominal = nominal or Nominal(robot)
-        refuse_other_deviations(robot, d)
         m = nominal.mechanism
-        self._skeleton = nominal.outline.skeleton(m.deviations(d.placements))
+        if motions is None:
+            refuse_other_deviations(robot, d)
+            motions = Motions.of(d.placements)
+        self._skeleton = nominal.outline.moved(m.of_segments(motions))
         self._tip = int(m.carrying[robot.tip_joint]) if robot.tip_joint >= 0 else -1
         self._mechanism, self._offsets = m, m.offset_coupling @ d.offsets
         self.types, self.passive = nominal.outline.types, nominal.passive

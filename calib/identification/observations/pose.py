@@ -15,8 +15,9 @@ def residual(seen: Seen) -> Linearised:
     """
     orientation = seen.data.orientation
     assert orientation is not None, "poses have measured orientations"
-    # Rows come last, in memory as well.
-    R, measured = (rotations.transpose(1, 2, 0) for rotations in (seen.tools[:, :3, :3], orientation[seen.rows]))
+    # Rows last, in memory as well, so that what is done to all of them is done at once.
+    R = seen.tools[:, :3, :3].transpose(1, 2, 0)
+    measured = np.ascontiguousarray(orientation[seen.rows].transpose(1, 2, 0))
     linear, turn = position.residual(seen), rigid.log3(np.einsum("kin,kjn->ijn", R, measured).transpose(2, 0, 1))
     # log(exp(-w) exp(r)) = r - Jl(r)^-1 w, with w in the axes of the tool.
     back = rigid.left_jacobian_inverse(turn).transpose(1, 2, 0)
