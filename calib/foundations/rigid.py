@@ -91,20 +91,21 @@ def exp3(w: Array) -> Array:
 
 def log3(R: Array) -> Array:
     """Return the rotation vectors (..., 3) of rotations (..., 3, 3), with angles in [0, pi]."""
-    # Components come first, here and below, so that what is done to all rows is done at once.
-    v = np.empty((3, *R.shape[:-2]))
+    # Components come first, so that what is done to all rows is done at once.
+    own = R.reshape(-1, 3, 3)
+    v = np.empty((3, len(own)))
     for i, j, k in ((0, 2, 1), (1, 0, 2), (2, 1, 0)):
-        np.subtract(R[..., j, k], R[..., k, j], out=v[i, ...])
+        np.subtract(own[:, j, k], own[:, k, j], out=v[i])
     v *= 0.5
     # Never 0, which divides: the angle over its sine is 1 there.
-    s = np.maximum(np.sqrt(np.einsum("i...,i...->...", v, v)), _TINY)
-    c = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
+    s = np.maximum(np.sqrt(np.einsum("in,in->n", v, v)), _TINY)
+    c = 0.5 * (own[:, 0, 0] + own[:, 1, 1] + own[:, 2, 2] - 1.0)
     v *= np.arctan2(s, c) / s
     # Towards half a turn the antisymmetric part fades and with it the axis; the quaternion keeps it.
     far = c < _NEAR_HALF_TURN
     if far.any():
-        v[:, far] = _log_of_quaternion(quaternion_of(R[far])).T
-    return v.transpose(*range(1, v.ndim), 0)
+        v[:, far] = _log_of_quaternion(quaternion_of(own[far])).T
+    return v.T.reshape(R.shape[:-1])
 
 
 def _log_of_quaternion(q: Array) -> Array:
@@ -114,17 +115,16 @@ def _log_of_quaternion(q: Array) -> Array:
 
 def left_jacobian_inverse(w: Array) -> Array:
     """Return Jl(w)^-1 (..., 3, 3): ``log(exp(d) exp(w)) = w + Jl(w)^-1 d`` to first order in d (..., 3)."""
-    v = w.transpose(-1, *range(w.ndim - 1))
-    square = np.einsum("i...,i...->...", v, v)
+    v = w.reshape(-1, 3).T
+    square = np.einsum("in,in->n", v, v)
     # At smaller angles c is what it is here, but for its rounding errors.
     half = np.maximum(0.5 * np.sqrt(square), 0.5 * _SMALL_ANGLE)
     c = (1.0 - half / np.tan(half)) / (4.0 * half * half)
     # 1 - [w]x / 2 + c [w]x^2, where [w]x^2 = w w^T - |w|^2.
-    out = (c * v)[:, None] * v
-    np.einsum("ii...->i...", out)[...] += 1.0 - c * square
-    back: Array = out.transpose(*range(2, out.ndim), 0, 1)
-    back -= skew(0.5 * w)
-    return back
+    out = (_CROSS.T @ (-0.5 * v)).reshape(3, 3, -1)
+    out += (c * v)[:, None] * v
+    out.reshape(9, -1)[::4] += 1.0 - c * square
+    return out.transpose(2, 0, 1).reshape(*w.shape, 3)
 
 
 def rx_ry_rz(angles: Array) -> Array:
@@ -136,9 +136,8 @@ def rx_ry_rz(angles: Array) -> Array:
 def turns(angles: Array) -> Array:
     """Return Rx(a), Ry(b) and Rz(c) (3, ..., 3, 3) of angles (..., 3)."""
     own = angles.reshape(-1, 3).T
-    shares = np.ones((*own.shape, 3))
-    np.cos(own, out=shares[:, :, 1])
-    np.sin(own, out=shares[:, :, 2])
+    shares = np.empty((*own.shape, 3))
+    shares[:, :, 0], shares[:, :, 1], shares[:, :, 2] = 1.0, np.cos(own), np.sin(own)
     return np.asarray((shares @ _TURNS).reshape(3, *angles.shape, 3))
 
 

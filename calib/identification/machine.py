@@ -14,7 +14,6 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import RobotError
-from calib.foundations.ranges import refuse_shape
 from calib.identification.parameters import Entries, Parameter
 from calib.robot.deviation import Motions
 from calib.robot.robot import Deviations, Robot
@@ -110,9 +109,10 @@ class States:
         """
         layout, (entry, own, share) = self.layout, self.entries
         state = self._at_rest + np.bincount(entry, share * x[own], layout.size)
-        refuse_shape(state, (layout.size,), "state of a machine", RobotError)
-        state.flags.writeable = False
+        if not np.isfinite(state).all():
+            raise RobotError("the machine has numbers that are not finite.")
         values, n, b = state[self._placed], layout.offsets // 6, self._bases
+        state.flags.writeable = values.flags.writeable = False
         # In one go: of few rows, half of the time is that of calls.
         E, W = Motions.of(values)
         frames = slice(n, n + b + self._tools)

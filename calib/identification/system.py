@@ -381,12 +381,12 @@ def residuals(
                 carried = links[data.tip].carried(readings, told)
                 if data.other is not None:
                     there = links[data.tip].carried(data.other.readings[rows], data.other.conditions.subset(rows))
-                    others = _held(there, tools, _one_or_all(data.other.tool[rows]), data.other.points, rows)
+                    others = _held(there, tools, _one_or_all(data.other.tool[rows], data.tools), data.other.points, rows)
                 base = np.asarray(at.frames.bases[_setups(data, rows)])
                 for link, own in _on_links(data, rows):
                     base[own] = rigid.inverse(links[link].carried(readings[own], told.subset(own)).placement)
             # In the order of operations in which the Jacobian's rows are made: both give the same bits.
-            held = _held(carried, tools, _one_or_all(data.tool[rows]), data.points, rows)
+            held = _held(carried, tools, _one_or_all(data.tool[rows], data.tools), data.points, rows)
             residual[rows] = _observe(data, rows, at.frames, base, held, others)[0].residual
         found.append(residual)
     return tuple(found)
@@ -454,15 +454,17 @@ def _photographs(data: Measurements) -> IntArray | None:
     return number if alike else None
 
 
-def _one_or_all(numbers: IntArray) -> IntArray | int:
-    """Return the number that all rows have, or the numbers (n,) of each."""
+def _one_or_all(numbers: IntArray, names: Sequence[str]) -> IntArray | int:
+    """Return the number that all rows have, or the numbers (n,) of each, where they count so many names."""
+    if len(names) == 1:
+        return 0
     first = int(numbers[0])
     return numbers if np.count_nonzero(numbers != first) else first
 
 
 def _setups(data: Measurements, rows: slice | IntArray) -> IntArray | int:
     """Return the set-ups (n,) of rows, or the one of all; where some look at links, what is seen from is of each."""
-    return data.setup[rows] if data.target_links else _one_or_all(data.setup[rows])
+    return data.setup[rows] if data.target_links else _one_or_all(data.setup[rows], data.setups)
 
 
 def _on_links(data: Measurements, rows: slice | IntArray) -> Iterator[tuple[str, IntArray]]:
@@ -656,7 +658,7 @@ class Rates:
         for rows in _blocks(data, number):
             _, first, own = np.unique(number[rows], return_index=True, return_inverse=True)
             at = np.asarray(first + rows.start, dtype=np.intp)
-            setups, tool, target = _setups(data, at), _one_or_all(data.tool[at]), data.target[at]
+            setups, tool, target = _setups(data, at), _one_or_all(data.tool[at], data.tools), data.target[at]
             base, group, told = np.asarray(frames.bases[setups]), setups, data.conditions.subset(at)
             motion = tip.motion(data.readings[at], told)
             seats = [
@@ -692,14 +694,14 @@ class Rates:
         frames, tip, none = self._frames, self._links[data.tip], len(self._frames.bases)
         c, whose = self._selection.common, self.whose(data)
         for rows in _blocks(data):
-            setups, tool, others, there = _setups(data, rows), _one_or_all(data.tool[rows]), None, None
+            setups, tool, others, there = _setups(data, rows), _one_or_all(data.tool[rows], data.tools), None, None
             base, group = np.asarray(frames.bases[setups]), setups
             with _naming(data, rows):
                 told = data.conditions_at(frames.scalars, rows, moving=self._robot.weights is not None)
                 readings = data.readings_at(frames.scalars, rows)
                 motion = tip.motion(readings, told)
                 if data.other is not None:
-                    other = _one_or_all(data.other.tool[rows])
+                    other = _one_or_all(data.other.tool[rows], data.tools)
                     there = tip.motion(data.other.readings[rows], data.other.conditions.subset(rows))
                     others = _held(there.tip, frames.tools, other, data.other.points, rows)
                 seats = [

@@ -67,7 +67,8 @@ class Follow(NamedTuple):
     @property
     def size(self) -> int:
         """How many numbers there are: d."""
-        return max(0 if rows is None else len(rows) for rows in self)
+        rows = self.turn if self.shift is None else self.shift
+        return 0 if rows is None else len(rows)
 
     def of(self, rows: IntArray) -> "Follow":
         """Return those of some rows."""
