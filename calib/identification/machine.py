@@ -96,8 +96,7 @@ class States:
         self._bases, self._tools = len(reference.bases), len(reference.tools)
         placed = [slice(0, self.layout.offsets), slice(self.layout.base, self.layout.scalars)]
         self._placed = np.r_[*placed].reshape(-1, 6)
-        self._rotations = np.concatenate([reference.bases, reference.tools])[:, :3, :3]
-        self._target_turns = _turns(reference.targets)
+        self._turns = _turns(np.concatenate([reference.bases, reference.tools, reference.targets]))
 
     def machine(self, x: Array) -> Machine:
         """Return the machine at parameter values x (p,) in SI units.
@@ -115,16 +114,14 @@ class States:
         state.flags.writeable = values.flags.writeable = False
         # In one go: of few rows, half of the time is that of calls.
         E, W = Motions.of(values)
-        frames = slice(n, n + b + self._tools)
-        rotations = self._rotations @ E[frames, :3, :3]
-        poses, twists = rigid.placement(rotations, values[frames, :3]), W[frames]
-        twists[:, :3, :3] = np.swapaxes(rotations, -1, -2)
+        poses, twists, t = self._turns @ E[n:], W[n:], b + self._tools
+        poses[:t, :3, 3], twists[:t, :3, :3] = values[n : n + t, :3], poses[:t, :3, :3].transpose(0, 2, 1)
         return Machine(
             Deviations.trusted(values[:n], state[layout.offsets : layout.terms], state[layout.terms : layout.base]),
-            Frames(poses[:b], poses[b:], self._target_turns @ E[frames.stop :], state[layout.scalars :]),
+            Frames(poses[:b], poses[b:t], poses[t:], state[layout.scalars :]),
             twists[:b],
-            twists[b:],
-            W[frames.stop :],
+            twists[b:t],
+            twists[t:],
             Motions(E[:n], W[:n]),
         )
 

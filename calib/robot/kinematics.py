@@ -17,7 +17,7 @@ from calib.foundations.arrays import Array, IntArray, read_only
 MovingType = Literal["revolute", "prismatic"]
 
 # So many joints stand side by side for several rows; what Pinocchio keeps of more grows with their third power.
-_SIDE_BY_SIDE = 20
+_SIDE_BY_SIDE = 30
 # The columns of a placement that are the root's own, and the last row of any.
 _ROOT = read_only(np.eye(4)[:, :3, None])
 _LAST = read_only(np.eye(4)[3, :, None])
@@ -216,7 +216,6 @@ class Joints:
         self._model.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
         self._data = self._model.createData()
         self._placed_by: Array | None = None
-        self._placements = [[self._model.jointPlacements[nj * k + j + 1] for k in range(rows)] for j in range(nj)]
 
     def carriers(self, placements: Array, q: Array) -> Array:
         """Return x, y, z and origins (4, nj + 1, 3, N) of the root, and of all joints after their own motion.
@@ -224,10 +223,9 @@ class Joints:
         ``placements`` (nj, 4, 4) of the joints are those of :class:`Tree`; at configurations q (N, nj) in rad or m.
         """
         if self._placed_by is not placements:
-            for side_by_side, T in zip(self._placements, placements, strict=True):
-                rotation, translation = T[:3, :3], T[:3, 3]
-                for own in side_by_side:
-                    own.rotation, own.translation = rotation, translation
+            placed, own = self._model.jointPlacements, [pin.SE3(T) for T in placements]
+            for j, T in enumerate(own * self._rows):
+                placed[j + 1] = T
             self._placed_by = placements
         (n, nj), rows = q.shape, self._rows
         filled = np.zeros((-(-n // rows) * rows, nj))
