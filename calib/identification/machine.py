@@ -108,8 +108,8 @@ class States:
         """
         layout, (entry, own, share) = self.layout, self.entries
         state = self._at_rest + np.bincount(entry, share * x[own], layout.size)
-        if not np.isfinite(state).all():
-            raise RobotError("the machine has numbers that are not finite.")
+        if not np.isfinite(state[: layout.base]).all():
+            raise RobotError("the deviations of the machine have numbers that are not finite.")
         values, n, b = state[self._placed], layout.offsets // 6, self._bases
         state.flags.writeable = values.flags.writeable = False
         # In one go: of few rows, half of the time is that of calls.
