@@ -24,8 +24,9 @@ def skew(v: Array) -> Array:
     return np.asarray((v @ _CROSS).reshape(*v.shape, 3))
 
 
-# For a turn about x, y and z: which matrices (9) it is made of, times 1, its cosine and its sine.
+# For a turn about x, y and z: which matrices (9) it is made of, times 1, its cosine and its sine; these come last.
 _TURNS = np.array([[np.outer(e, e), np.eye(3) - np.outer(e, e), skew(e)] for e in np.eye(3)]).reshape(3, 3, 9)
+_TURNS = np.ascontiguousarray(_TURNS.transpose(0, 2, 1))
 
 
 def placement(rotation: Array, translation: Array) -> Array:
@@ -44,7 +45,7 @@ def translation(t: Array) -> Array:
 
 
 def product(A: Array, B: Array) -> Array:
-    """Return the products (n, 4, 4) of placements, each (n, 4, 4), or (4, 4) for all."""
+    """Return the products (n, 4, 4) of placements, each (n, 4, 4), or (4, 4) for all; of rotations as well."""
     # Rows may come last in memory, where a product of matrices would be made one by one.
     if A.ndim == 2 and B.ndim == 3:
         return np.asarray((A @ B.transpose(2, 1, 0)).transpose(2, 1, 0))
@@ -130,15 +131,16 @@ def left_jacobian_inverse(w: Array) -> Array:
 def rx_ry_rz(angles: Array) -> Array:
     """Return Rx(a) Ry(b) Rz(c) (..., 3, 3) of angles (..., 3)."""
     x, y, z = turns(angles)
-    return np.asarray(x @ (y @ z) + 0.0)  # no zero keeps a minus
+    return np.asarray(product(x, product(y, z)) + 0.0)  # no zero keeps a minus
 
 
 def turns(angles: Array) -> Array:
     """Return Rx(a), Ry(b) and Rz(c) (3, ..., 3, 3) of angles (..., 3)."""
     own = angles.reshape(-1, 3).T
-    shares = np.empty((*own.shape, 3))
-    shares[:, :, 0], shares[:, :, 1], shares[:, :, 2] = 1.0, np.cos(own), np.sin(own)
-    return np.asarray((shares @ _TURNS).reshape(3, *angles.shape, 3))
+    shares = np.empty((3, *own.shape))
+    shares[:, 0], shares[:, 1], shares[:, 2] = 1.0, np.cos(own), np.sin(own)
+    # Rows last in memory: of many, products of these are then made at once.
+    return np.asarray((_TURNS @ shares).reshape(3, 3, 3, -1).transpose(0, 3, 1, 2).reshape(3, *angles.shape, 3))
 
 
 def rpy_of(R: Array) -> Array:

@@ -24,7 +24,7 @@ class Motions(NamedTuple):
     def of(cls, d: Array) -> "Motions":
         """Return those of deviations (n, 6) in m and rad."""
         x, y, z = rigid.turns(d[:, 3:])
-        R = x @ (y @ z)
+        R = rigid.product(x, rigid.product(y, z))
         return cls(rigid.placement(R, d[:, :3]), _twists(R, z))
 
 
@@ -40,7 +40,7 @@ def twists(d: Array) -> Array:
     the three rotations through those on its right.
     """
     x, y, z = rigid.turns(d[..., 3:])
-    return _twists(x @ (y @ z), z)
+    return _twists(rigid.product(x, rigid.product(y, z)), z)
 
 
 def _twists(R: Array, z: Array) -> Array:
