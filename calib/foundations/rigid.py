@@ -13,15 +13,20 @@ from calib.foundations.linear import svd
 _SMALL_ANGLE = 1e-4
 _TINY = 1e-150
 _NEAR_HALF_TURN = -0.5
+# By component of a vector, the nine numbers of its cross-product matrix.
+_CROSS = np.array(
+    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], dtype=np.float64
+)
 
 
 def skew(v: Array) -> Array:
     """Return the cross-product matrices ``[v]x`` (..., 3, 3) of vectors (..., 3)."""
-    out = np.zeros((*v.shape, 3))
-    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
-    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
-    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
-    return out
+    return np.asarray((v @ _CROSS).reshape(*v.shape, 3))
+
+
+# For a turn about x, y and z: which matrices (9) it is made of, times 1, its cosine and its sine; these come last.
+_TURNS = np.array([[np.outer(e, e), np.eye(3) - np.outer(e, e), skew(e)] for e in np.eye(3)]).reshape(3, 3, 9)
+_TURNS = np.ascontiguousarray(_TURNS.transpose(0, 2, 1))
 
 
 def placement(rotation: Array, translation: Array) -> Array:
@@ -40,8 +45,10 @@ def translation(t: Array) -> Array:
 
 
 def product(A: Array, B: Array) -> Array:
-    """Return the products (n, 4, 4) of placements, each (n, 4, 4), or (4, 4) for all."""
+    """Return the products (n, 4, 4) of placements, each (n, 4, 4), or (4, 4) for all; of rotations as well."""
     # Rows may come last in memory, where a product of matrices would be made one by one.
+    if A.ndim == 2 and B.ndim == 3:
+        return np.asarray((A @ B.transpose(2, 1, 0)).transpose(2, 1, 0))
     return np.asarray(np.einsum("...ij,...jk->...ik", A, B))
 
 
@@ -58,6 +65,14 @@ def adjoint(T: Array) -> Array:
     out[..., :3, :3] = out[..., 3:, 3:] = R
     out[..., :3, 3:] = skew(T[..., :3, 3]) @ R
     return out
+
+
+def carried(T: Array, twists: Array) -> Array:
+    """Return Ad(T) (..., 6, 6) times columns of twists (..., 6, k), no adjoint being written out."""
+    R, (*_, k) = T[..., None, :3, :3], twists.shape
+    found = R @ twists.reshape(*twists.shape[:-2], 2, 3, k)
+    found[..., 0, :, :] += skew(T[..., :3, 3]) @ found[..., 1, :, :]
+    return np.asarray(found.reshape(*found.shape[:-3], 6, k))
 
 
 def rotation_about(axis: Array, angle: Array | float) -> Array:
@@ -77,18 +92,21 @@ def exp3(w: Array) -> Array:
 
 def log3(R: Array) -> Array:
     """Return the rotation vectors (..., 3) of rotations (..., 3, 3), with angles in [0, pi]."""
-    v = np.empty(R.shape[:-1])
+    # Components come first, so that what is done to all rows is done at once.
+    own = R.reshape(-1, 3, 3)
+    v = np.empty((3, len(own)))
     for i, j, k in ((0, 2, 1), (1, 0, 2), (2, 1, 0)):
-        np.subtract(R[..., j, k], R[..., k, j], out=v[..., i])
+        np.subtract(own[:, j, k], own[:, k, j], out=v[i])
     v *= 0.5
-    s = np.sqrt(np.einsum("...i,...i->...", v, v))[..., None]
-    c = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)[..., None]
-    w = v * np.divide(np.arctan2(s, c), s, out=np.ones_like(s), where=s > _TINY)
+    # Never 0, which divides: the angle over its sine is 1 there.
+    s = np.maximum(np.sqrt(np.einsum("in,in->n", v, v)), _TINY)
+    c = 0.5 * (own[:, 0, 0] + own[:, 1, 1] + own[:, 2, 2] - 1.0)
+    v *= np.arctan2(s, c) / s
     # Towards half a turn the antisymmetric part fades and with it the axis; the quaternion keeps it.
-    far = c[..., 0] < _NEAR_HALF_TURN
-    if np.any(far):
-        w[far] = _log_of_quaternion(quaternion_of(R[far]))
-    return np.asarray(w)
+    far = c < _NEAR_HALF_TURN
+    if far.any():
+        v[:, far] = _log_of_quaternion(quaternion_of(own[far])).T
+    return v.T.reshape(R.shape[:-1])
 
 
 def _log_of_quaternion(q: Array) -> Array:
@@ -98,28 +116,31 @@ def _log_of_quaternion(q: Array) -> Array:
 
 def left_jacobian_inverse(w: Array) -> Array:
     """Return Jl(w)^-1 (..., 3, 3): ``log(exp(d) exp(w)) = w + Jl(w)^-1 d`` to first order in d (..., 3)."""
-    square = np.einsum("...i,...i->...", w, w)
-    half = 0.5 * np.sqrt(square)
-    c, turned = np.full_like(square, 1.0 / 12.0), half > 0.5 * _SMALL_ANGLE
-    c[turned] = (1.0 - half[turned] / np.tan(half[turned])) / square[turned]
+    v = w.reshape(-1, 3).T
+    square = np.einsum("in,in->n", v, v)
+    # At smaller angles c is what it is here, but for its rounding errors.
+    half = np.maximum(0.5 * np.sqrt(square), 0.5 * _SMALL_ANGLE)
+    c = (1.0 - half / np.tan(half)) / (4.0 * half * half)
     # 1 - [w]x / 2 + c [w]x^2, where [w]x^2 = w w^T - |w|^2.
-    out = (c[..., None] * w)[..., :, None] * w[..., None, :]
-    out -= skew(0.5 * w)
-    np.einsum("...ii->...i", out)[...] += (1.0 - c * square)[..., None]
-    return np.asarray(out)
+    out = (_CROSS.T @ (-0.5 * v)).reshape(3, 3, -1)
+    out += (c * v)[:, None] * v
+    out.reshape(9, -1)[::4] += 1.0 - c * square
+    return out.transpose(2, 0, 1).reshape(*w.shape, 3)
 
 
 def rx_ry_rz(angles: Array) -> Array:
     """Return Rx(a) Ry(b) Rz(c) (..., 3, 3) of angles (..., 3)."""
-    # Written out: every machine of every evaluation is made of these.
-    sin, cos = np.sin(angles), np.cos(angles)
-    sa, sb, sc = sin[..., 0], sin[..., 1], sin[..., 2]
-    ca, cb, cc = cos[..., 0], cos[..., 1], cos[..., 2]
-    R, sasb, casb = np.empty((*angles.shape, 3)), sa * sb, ca * sb
-    R[..., 0, 0], R[..., 0, 1], R[..., 0, 2] = cb * cc, -cb * sc, sb
-    R[..., 1, 0], R[..., 1, 1], R[..., 1, 2] = sasb * cc + ca * sc, ca * cc - sasb * sc, -sa * cb
-    R[..., 2, 0], R[..., 2, 1], R[..., 2, 2] = sa * sc - casb * cc, casb * sc + sa * cc, ca * cb
-    return R + 0.0  # no zero keeps a minus
+    x, y, z = turns(angles)
+    return np.asarray(product(x, product(y, z)) + 0.0)  # no zero keeps a minus
+
+
+def turns(angles: Array) -> Array:
+    """Return Rx(a), Ry(b) and Rz(c) (3, ..., 3, 3) of angles (..., 3)."""
+    own = angles.reshape(-1, 3).T
+    shares = np.empty((3, *own.shape))
+    shares[:, 0], shares[:, 1], shares[:, 2] = 1.0, np.cos(own), np.sin(own)
+    # Rows last in memory: of many, products of these are then made at once.
+    return np.asarray((_TURNS @ shares).reshape(3, 3, 3, -1).transpose(0, 3, 1, 2).reshape(3, *angles.shape, 3))
 
 
 def rpy_of(R: Array) -> Array:

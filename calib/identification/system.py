@@ -370,7 +370,7 @@ def residuals(
 
     ``nominals``: where they are made already.
     """
-    links, found = _Links(robot, at.deviations, nominals), []
+    links, found = _Links(robot, at, nominals), []
     for data in measurements:
         residual = np.empty(data.sigma.shape)
         for rows in _blocks(data):
@@ -381,27 +381,29 @@ def residuals(
                 carried = links[data.tip].carried(readings, told)
                 if data.other is not None:
                     there = links[data.tip].carried(data.other.readings[rows], data.other.conditions.subset(rows))
-                    others = _held(there, tools, _one_or_all(data.other.tool[rows]), data.other.points, rows)
+                    others = _held(
+                        there, tools, _one_or_all(data.other.tool[rows], data.tools), data.other.points, rows
+                    )
                 base = np.asarray(at.frames.bases[_setups(data, rows)])
                 for link, own in _on_links(data, rows):
                     base[own] = rigid.inverse(links[link].carried(readings[own], told.subset(own)).placement)
             # In the order of operations in which the Jacobian's rows are made: both give the same bits.
-            held = _held(carried, tools, _one_or_all(data.tool[rows]), data.points, rows)
+            held = _held(carried, tools, _one_or_all(data.tool[rows], data.tools), data.points, rows)
             residual[rows] = _observe(data, rows, at.frames, base, held, others)[0].residual
         found.append(residual)
     return tuple(found)
 
 
 class _Links(dict[str, TipModel]):
-    """Models of a robot with deviations, by the link that they look at; "" is the robot's tip."""
+    """Models of a robot as the one of a machine is, by the link that they look at; "" is the robot's tip."""
 
-    def __init__(self, robot: Robot, deviations: Deviations, nominals: Nominals | None = None) -> None:
+    def __init__(self, robot: Robot, at: Machine, nominals: Nominals | None = None) -> None:
         super().__init__()
-        self._robot, self._deviations, self._nominals = robot, deviations, Nominals() if nominals is None else nominals
+        self._robot, self._at, self._nominals = robot, at, Nominals() if nominals is None else nominals
 
     def __missing__(self, link: str) -> TipModel:
         robot = self._robot if link in ("", self._robot.tip) else self._robot.with_tip(link)
-        found = TipModel(robot, self._deviations, self._nominals[self._robot])
+        found = TipModel(robot, self._at.deviations, self._nominals[self._robot], self._at.motions)
         self[link] = found
         return found
 
@@ -454,15 +456,17 @@ def _photographs(data: Measurements) -> IntArray | None:
     return number if alike else None
 
 
-def _one_or_all(numbers: IntArray) -> IntArray | int:
-    """Return the number that all rows have, or the numbers (n,) of each."""
+def _one_or_all(numbers: IntArray, names: Sequence[str]) -> IntArray | int:
+    """Return the number that all rows have, or the numbers (n,) of each, where they count so many names."""
+    if len(names) == 1:
+        return 0
     first = int(numbers[0])
     return numbers if np.count_nonzero(numbers != first) else first
 
 
 def _setups(data: Measurements, rows: slice | IntArray) -> IntArray | int:
     """Return the set-ups (n,) of rows, or the one of all; where some look at links, what is seen from is of each."""
-    return data.setup[rows] if data.target_links else _one_or_all(data.setup[rows])
+    return data.setup[rows] if data.target_links else _one_or_all(data.setup[rows], data.setups)
 
 
 def _on_links(data: Measurements, rows: slice | IntArray) -> Iterator[tuple[str, IntArray]]:
@@ -548,7 +552,9 @@ class FramesFollow(NamedTuple):
 
     def turned(self, twists: Array) -> "FramesFollow":
         """Return how something follows the parameters that follows the frames by matrices (k, 6, 6)."""
-        by = np.zeros_like(self.by)
+        if not self.by.size:
+            return self
+        by = np.zeros(self.by.shape)
         np.matmul(twists, self.by[:-1], out=by[:-1])
         return FramesFollow(self.columns, by)
 
@@ -566,6 +572,11 @@ class FramesFollow(NamedTuple):
         found[np.arange(len(frames))[:, None], :, self.columns[frames]] = np.swapaxes(self.by[frames], 1, 2)
         return found[:, :, :width]
 
+    @property
+    def every(self) -> IntArray:
+        """The numbers of all frames."""
+        return np.arange(len(self.by) - 1)
+
     def following(self, width: int) -> IntArray:
         """Return which frames follow some of the first parameters."""
         return np.flatnonzero((self.by.any(axis=1) & (self.columns < width)).any(axis=1))
@@ -576,7 +587,8 @@ class Selection:
 
     Columns are those of the c common parameters, then a that all blocks share: a row is about one block at most.
     ``of_robot``, ``of_terms`` and ``of_scalars``: parts of the state (k, c + a) as they follow them; ``of_bases``,
-    ``of_tools`` and ``of_targets``: frames. ``block`` (t + 1,): of all ``things``, as
+    ``of_tools`` and ``of_targets``: frames. ``each_base`` and ``each_tool`` (k, 6, c + a): the first two, written out,
+    of which there are few. ``block`` (t + 1,): of all ``things``, as
     :meth:`calib.identification.elimination.Things.in_blocks` has it.
     """
 
@@ -600,6 +612,9 @@ class Selection:
 
         self.of_robot, self.of_terms = followed(0, layout.terms), followed(layout.terms, layout.base)
         self.of_bases, self.of_tools = frames(layout.base, layout.tools), frames(layout.tools, layout.targets)
+        self.each_base, self.each_tool = (
+            own.written_out(own.every, self.width) for own in (self.of_bases, self.of_tools)
+        )
         self.of_targets = frames(layout.targets, layout.scalars)
         self.of_scalars = followed(layout.scalars, layout.size)
 
@@ -617,10 +632,9 @@ class Rates:
     def __init__(self, problem: Problem, at: Machine, units: Array, split: Split | None = None) -> None:
         self._robot, self._frames = problem.model.robot, at.frames
         self._selection = own = problem.selection(units, split)
-        self._links = _Links(self._robot, at.deviations, problem.nominals)
-        self._of_bases, self._tool_twists = own.of_bases.turned(at.base_twists), at.tool_twists
-        self._of_targets = own.of_targets.turned(at.target_twists)
-        self._by_robot: dict[str, tuple[Array, FramesFollow]] = {}
+        self._links = _Links(self._robot, at, problem.nominals)
+        self._at, self._of_targets = at, own.of_targets.turned(at.target_twists)
+        self._on: dict[str, tuple[Array, Array]] = {}
         self._by: dict[tuple[str, int, int], Array] = {}
 
     @property
@@ -654,7 +668,7 @@ class Rates:
         for rows in _blocks(data, number):
             _, first, own = np.unique(number[rows], return_index=True, return_inverse=True)
             at = np.asarray(first + rows.start, dtype=np.intp)
-            setups, tool, target = _setups(data, at), _one_or_all(data.tool[at]), data.target[at]
+            setups, tool, target = _setups(data, at), _one_or_all(data.tool[at], data.tools), data.target[at]
             base, group, told = np.asarray(frames.bases[setups]), setups, data.conditions.subset(at)
             motion = tip.motion(data.readings[at], told)
             seats = [
@@ -690,14 +704,14 @@ class Rates:
         frames, tip, none = self._frames, self._links[data.tip], len(self._frames.bases)
         c, whose = self._selection.common, self.whose(data)
         for rows in _blocks(data):
-            setups, tool, others, there = _setups(data, rows), _one_or_all(data.tool[rows]), None, None
+            setups, tool, others, there = _setups(data, rows), _one_or_all(data.tool[rows], data.tools), None, None
             base, group = np.asarray(frames.bases[setups]), setups
             with _naming(data, rows):
                 told = data.conditions_at(frames.scalars, rows, moving=self._robot.weights is not None)
                 readings = data.readings_at(frames.scalars, rows)
                 motion = tip.motion(readings, told)
                 if data.other is not None:
-                    other = _one_or_all(data.other.tool[rows])
+                    other = _one_or_all(data.other.tool[rows], data.tools)
                     there = tip.motion(data.other.readings[rows], data.other.conditions.subset(rows))
                     others = _held(there.tip, frames.tools, other, data.other.points, rows)
                 seats = [
@@ -772,19 +786,22 @@ class Rates:
         if isinstance(group, int) and isinstance(tool, int):
             followed(numbers, self._by_parameters(link, group, tool), found)
             return
-        by_robot, by_tools = self._on(link)
+        by_robot, tool_twists = self._carrying(link)
         followed(numbers, by_robot, found)
-        n = numbers.shape[-1:]
-        self._of_bases.add(numbers[0], np.broadcast_to(group, n), found)
-        by_tools.add(numbers[-1], np.broadcast_to(tool, n), found)
+        own, n = self._selection, numbers.shape[-1:]
+        own.of_bases.turned(self._at.base_twists).add(numbers[:, 0], np.broadcast_to(group, n), found)
+        own.of_tools.turned(tool_twists).add(numbers[:, -1], np.broadcast_to(tool, n), found)
 
-    def _on(self, link: str) -> tuple[Array, FramesFollow]:
-        """Return how local twists of what carries a link follow the robot (6 (w + 1), c + a), and the last by tools."""
-        if link not in self._by_robot:
-            tip = self._links[link]
-            tools = self._selection.of_tools.turned(rigid.adjoint(tip.end @ self._frames.tools) @ self._tool_twists)
-            self._by_robot[link] = tip.follow @ self._selection.of_robot, tools
-        return self._by_robot[link]
+    def _carrying(self, link: str) -> tuple[Array, Array]:
+        """Return how local twists of what carries a link follow the robot (6 (w + 1), c + a).
+
+        And the twists (k, 6, 6) that tools have there, in the last of these, for changes of their six values.
+        """
+        if link not in self._on:
+            tip, at = self._links[link], self._at
+            tool_twists = rigid.carried(tip.end @ at.frames.tools, at.tool_twists)
+            self._on[link] = tip.follow @ self._selection.of_robot, tool_twists
+        return self._on[link]
 
     def _by_parameters(self, link: str, group: int, tool: int) -> Array:
         """Return how local twists of what carries a link follow the parameters (6 (w + 1), c + a).
@@ -793,10 +810,13 @@ class Rates:
         """
         key = link, group, tool
         if key not in self._by:
-            by_robot, by_tools = self._on(link)
-            found = by_robot.copy()
-            found[:6, self._of_bases.columns[group]] += self._of_bases.by[group]
-            found[-6:, by_tools.columns[tool]] += by_tools.by[tool]
+            by_robot, tool_twists = self._carrying(link)
+            own, base_twists, found = self._selection, self._at.base_twists, by_robot.copy()
+            by_carrier = found.reshape(6, -1, own.width)
+            if group < len(base_twists):
+                by_carrier[:, 0] += base_twists[group] @ own.each_base[group]
+            if tool >= 0:
+                by_carrier[:, -1] += tool_twists[tool] @ own.each_tool[tool]
             self._by[key] = found
         return self._by[key]
 

@@ -45,7 +45,7 @@ class Conditions:
 
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""
-        every = [getattr(self, field.name) for field in fields(self)]
+        every = [getattr(self, name) for name in _NAMES]
         if all(told is None for told in every):
             return self
         return Conditions(*(None if told is None else told[rows] for told in every))
@@ -68,6 +68,7 @@ class Conditions:
 
 
 NO_CONDITIONS = Conditions()
+_NAMES = tuple(field.name for field in fields(Conditions))
 # What rows have of which nobody says anything, beside others of which somebody does; of all else, nobody then does.
 _UNSAID = {"payload": np.nan, "gravity": np.nan, "motion": 0.0}
 
@@ -96,7 +97,7 @@ def joined(parts: Sequence[tuple[int, Conditions]]) -> Conditions:
         known = [values for values in found if values is not None]
         return read_only(np.concatenate(known)) if known and len(known) == len(found) else None
 
-    return Conditions(*(of_all(field.name) for field in fields(Conditions)))
+    return Conditions(*map(of_all, _NAMES))
 
 
 def in_order(readings: Array) -> Array:

@@ -4,12 +4,28 @@ A deviation ``d = (tx, ty, tz, rx, ry, rz)`` is the motion ``E(d) = Trans(tx, ty
 the right of a nominal placement whose frame has z along the joint's axis.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 
 COMPONENTS = ("tx", "ty", "tz", "rx", "ry", "rz")
+
+
+class Motions(NamedTuple):
+    """What n deviations d make: ``E`` (n, 4, 4), as :func:`motion` has it, and ``W`` (n, 6, 6) of :func:`twists`."""
+
+    E: Array
+    W: Array
+
+    @classmethod
+    def of(cls, d: Array) -> "Motions":
+        """Return those of deviations (n, 6) in m and rad."""
+        x, y, z = rigid.turns(d[:, 3:])
+        R = rigid.product(x, rigid.product(y, z))
+        return cls(rigid.placement(R, d[:, :3]), _twists(R, z))
 
 
 def motion(d: Array) -> Array:
@@ -23,22 +39,15 @@ def twists(d: Array) -> Array:
     Column k is the local twist of component k: a translation is seen through the rotation that follows it, and each of
     the three rotations through those on its right.
     """
-    return _twists(d, rigid.rx_ry_rz(d[..., 3:]))
+    x, y, z = rigid.turns(d[..., 3:])
+    return _twists(rigid.product(x, rigid.product(y, z)), z)
 
 
-def motion_and_twists(d: Array) -> tuple[Array, Array]:
-    """Return E(d) (..., 4, 4) and W (..., 6, 6) of deviations (..., 6)."""
-    R = rigid.rx_ry_rz(d[..., 3:])
-    return rigid.placement(R, d[..., :3]), _twists(d, R)
-
-
-def _twists(d: Array, R: Array) -> Array:
-    W = np.zeros((*d.shape[:-1], 6, 6))
+def _twists(R: Array, z: Array) -> Array:
+    W = np.zeros((*R.shape[:-2], 6, 6))
     W[..., :3, :3] = np.swapaxes(R, -1, -2)
     # Rows of Ry Rz and Rz: Rx, on the left, leaves the first row of R as it is.
-    W[..., 3:, 3] = R[..., 0, :]
-    W[..., 3, 4], W[..., 4, 4] = np.sin(d[..., 5]), np.cos(d[..., 5])
-    W[..., 5, 5] = 1.0
+    W[..., 3:, 3], W[..., 3:, 4], W[..., 5, 5] = R[..., 0, :], z[..., 1, :], 1.0
     return W
 
 

@@ -27,7 +27,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray
-from calib.robot.deviation import axis_frame
+from calib.robot.deviation import Motions, axis_frame
 from calib.robot.kinematics import MovingType
 from calib.robot.loops import Loop
 from calib.robot.skeleton import Segment
@@ -77,12 +77,12 @@ class Mechanism(NamedTuple):
         """Whether it has no flexures."""
         return len(self.own) == len(self.coupling)
 
-    def deviations(self, placements: Array) -> Array:
-        """Return deviations of all segments for those (n, 6) of the chain."""
+    def of_segments(self, motions: Motions) -> Motions:
+        """Return the motions of all segments for those of the n joints of the chain: the others stay."""
         if self.rigid:
-            return placements
-        found = np.zeros((len(self.segments), 6))
-        found[self.placed] = placements
+            return motions
+        found = Motions.of(np.zeros((len(self.segments), 6)))
+        found.E[self.placed], found.W[self.placed] = motions
         return found
 
     def of_chain(self, columns: Array) -> Array:

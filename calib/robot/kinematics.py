@@ -17,11 +17,10 @@ from calib.foundations.arrays import Array, IntArray, read_only
 MovingType = Literal["revolute", "prismatic"]
 
 # So many joints stand side by side for several rows; what Pinocchio keeps of more grows with their third power.
-_SIDE_BY_SIDE = 20
-# Origin, x, y and z of the root in its own axes; the last row of a placement; which of its rows are these.
-_ROOT = read_only(np.concatenate([np.zeros((1, 3)), np.eye(3)])[:, :, None])
+_SIDE_BY_SIDE = 30
+# The columns of a placement that are the root's own, and the last row of any.
+_ROOT = read_only(np.eye(4)[:, :3, None])
 _LAST = read_only(np.eye(4)[3, :, None])
-_ORIGIN_FIRST = [3, 0, 1, 2]
 
 
 class Tree(NamedTuple):
@@ -68,7 +67,8 @@ class Follow(NamedTuple):
     @property
     def size(self) -> int:
         """How many numbers there are: d."""
-        return max(0 if rows is None else len(rows) for rows in self)
+        rows = self.turn if self.shift is None else self.shift
+        return 0 if rows is None else len(rows)
 
     def of(self, rows: IntArray) -> "Follow":
         """Return those of some rows."""
@@ -89,10 +89,10 @@ class Follow(NamedTuple):
 class Regressor:
     """Placements of a frame over N configurations, and how they follow the placements of the joints.
 
-    ``way``: the w joints that carry the frame, of ``joints`` in all; no other one moves it. ``carriers`` (w + 1, 4, 3,
-    N): the root, then every joint of the way after its own motion: origin, x, y and z, in the root's axes. The frame is
-    at ``end`` (4, 4) in the last of them, and joint k of the way at ``placements[k]`` (w, 4, 4) in carrier k. Rows come
-    last, so that what is done to all of them is done at once.
+    ``way``: the w joints that carry the frame, of ``joints`` in all; no other one moves it. ``carriers`` (4, w + 1, 3,
+    N): x, y, z and origin, in the root's axes, of the root, then of every joint of the way after its own motion. The
+    frame is at ``end`` (4, 4) in the last of them, and joint k of the way at ``placements[k]`` (w, 4, 4) in carrier k.
+    Rows come last, so that what is done to all of them is done at once.
     """
 
     way: tuple[int, ...]
@@ -112,46 +112,42 @@ class Regressor:
         # By column, and in these by row.
         found = np.empty((4, 4, n))
         found[:, 3] = _LAST
-        shares = placement.T[:, _ORIGIN_FIRST]
-        np.matmul(shares, self.carriers[-1].reshape(4, 3 * n), out=found.reshape(4, 4 * n)[:, : 3 * n])
+        np.matmul(placement.T, self.carriers[:, -1].reshape(4, 3 * n), out=found.reshape(4, 4 * n)[:, : 3 * n])
         return found.transpose(2, 1, 0)
 
     def through(self, rows: Follow, at: Array) -> Array:
-        """Return how d numbers follow local twists of the carriers, (w + 1, 6, d, N), or (w + 1, 3, d, N) their turns.
+        """Return how d numbers follow local twists of the carriers, (6, w + 1, d, N), or (3, w + 1, d, N) their turns.
 
         ``rows``: how they follow a frame that moves with this one, in the root's axes; turns alone are found where they
         do not follow its shifts. ``at`` (N, 3): the origin of that frame.
         """
-        axes = self.carriers[:, 1:]
+        axes, origins = self.carriers[:3], self.carriers[3]
+        _, s, _, n = axes.shape
         if rows.shift is None:
             assert rows.turn is not None, "what follows neither shifts nor turns follows nothing"
-            return np.asarray(np.einsum("dcn,skcn->skdn", rows.turn, axes))
-        d, n = rows.shift.shape[0], axes.shape[3]
-        found = np.empty((len(axes), 6, d, n))
+            return _along(rows.turn, axes, np.empty((3, s, rows.size, n)))
+        found = np.empty((6, s, rows.size, n))
         # A shift of the frame by v and a turn by w, about its origin, change a number by a . v + b . w; a turn of
         # something at distance r from that origin by (r x a + b) . w.
-        shifts, turns = found[:, :3], found[:, 3:]
-        np.einsum("dcn,skcn->skdn", rows.shift, axes, out=shifts)
-        arm = np.einsum("scn,skcn->skn", at.T - self.carriers[:, 0], axes)[:, :, None]
-        less = np.empty((len(axes), d, n))
+        shifts, turns = _along(rows.shift, axes, found[:3]), found[3:]
+        arm = np.einsum("scn,kscn->ksn", at.T - origins, axes)[:, :, None]
         for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-            np.multiply(arm[:, j], shifts[:, k], out=turns[:, i])
-            np.multiply(arm[:, k], shifts[:, j], out=less)
-            turns[:, i] -= less
+            np.multiply(arm[j], shifts[k], out=turns[i])
+            turns[i] -= arm[k] * shifts[j]
         if rows.turn is not None:
-            turns += np.einsum("dcn,skcn->skdn", rows.turn, axes)
+            turns += _along(rows.turn, axes, np.empty_like(turns))
         return found
 
     def by_position(self, numbers: Array, types: Sequence[MovingType]) -> Array:
         """Return how numbers follow the positions of all joints (nj, d, N), from what :meth:`through` makes of them."""
         found = np.zeros((self.joints, *numbers.shape[2:]))
-        turns_alone = numbers.shape[1] == 3
+        turns_alone = len(numbers) == 3
         for k, j in enumerate(self.way):
             # A joint moves itself along, or about, its own z.
             if types[j] == "revolute":
-                found[j] = numbers[k + 1, -1]
+                found[j] = numbers[-1, k + 1]
             elif not turns_alone:
-                found[j] = numbers[k + 1, 2]
+                found[j] = numbers[2, k + 1]
         return found
 
     @property
@@ -173,8 +169,7 @@ class Regressor:
         """The placements (w, N, 4, 4) of the joints of the way in the root, before their own motion."""
         carriers = np.zeros((len(self.way), self.carriers.shape[3], 4, 4))
         carriers[:, :, 3, 3] = 1.0
-        carriers[:, :, :3, 3] = self.carriers[:-1, 0].transpose(0, 2, 1)
-        carriers[:, :, :3, :3] = self.carriers[:-1, 1:].transpose(0, 3, 2, 1)
+        carriers[:, :, :3] = self.carriers[:, :-1].transpose(1, 3, 2, 0)
         return np.asarray(carriers @ self.placements[:, None])
 
     @property
@@ -184,7 +179,7 @@ class Regressor:
         A placement is perturbed on the right, before the joint's own motion.
         """
         found = np.zeros((self.carriers.shape[3], 6, self.joints, 6))
-        numbers = self.through(*self.local)[:-1].transpose(0, 3, 2, 1)
+        numbers = self.through(*self.local)[:, :-1].transpose(1, 3, 2, 0)
         found[:, :, list(self.way)] = (numbers @ rigid.adjoint(self.placements)[:, None]).transpose(1, 2, 0, 3)
         return found.reshape(len(found), 6, 6 * self.joints)
 
@@ -192,12 +187,17 @@ class Regressor:
 def followed(numbers: Array, by: Array, found: Array) -> None:
     """Write how numbers follow c unknowns (d, N, c), from what :meth:`Regressor.through` makes of them.
 
-    ``by`` (6 (w + 1), c): how the local twists of the carriers do.
+    ``by`` (6 (w + 1), c): how the local twists of the carriers do, component by component, turns last.
     """
-    s, each, d, n = numbers.shape
-    own = by if each == 6 else by.reshape(s, 6, -1)[:, 3:].reshape(3 * s, -1)
-    for i in range(d):
-        np.matmul(numbers[:, :, i].reshape(s * each, n).T, own, out=found[i])
+    each, s, d, n = numbers.shape
+    np.matmul(numbers.reshape(each * s, d, n).transpose(1, 2, 0), by[-each * s :], out=found)
+
+
+def _along(rows: Array, axes: Array, found: Array) -> Array:
+    """Write, and return, rows (d, 3, N), or (d, 3, 1) for all, in some axes (k, s, 3, N): (k, s, d, N)."""
+    if rows.shape[2] == 1:
+        return np.matmul(rows[:, :, 0], axes, out=found)
+    return np.einsum("dcn,kscn->ksdn", rows, axes, out=found)
 
 
 class Joints:
@@ -216,18 +216,16 @@ class Joints:
         self._model.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
         self._data = self._model.createData()
         self._placed_by: Array | None = None
-        self._placements = [[self._model.jointPlacements[nj * k + j + 1] for k in range(rows)] for j in range(nj)]
 
     def carriers(self, placements: Array, q: Array) -> Array:
-        """Return the root, and all joints after their own motion: origin, x, y and z (nj + 1, 4, 3, N).
+        """Return x, y, z and origins (4, nj + 1, 3, N) of the root, and of all joints after their own motion.
 
         ``placements`` (nj, 4, 4) of the joints are those of :class:`Tree`; at configurations q (N, nj) in rad or m.
         """
         if self._placed_by is not placements:
-            for side_by_side, T in zip(self._placements, placements, strict=True):
-                rotation, translation = T[:3, :3], T[:3, 3]
-                for own in side_by_side:
-                    own.rotation, own.translation = rotation, translation
+            placed, own = self._model.jointPlacements, [pin.SE3(T) for T in placements]
+            for j, T in enumerate(own * self._rows):
+                placed[j + 1] = T
             self._placed_by = placements
         (n, nj), rows = q.shape, self._rows
         filled = np.zeros((-(-n // rows) * rows, nj))
@@ -238,9 +236,11 @@ class Joints:
         for q_n in filled.reshape(-1, rows * nj):
             walk(model, data, q_n)
             walked += left
-        found = np.empty((nj + 1, 4, 3, n))
-        found[0] = _ROOT
-        found[1:].reshape(12 * nj, n)[...] = np.frombuffer(walked).reshape(-1, 12 * nj)[:n].T
+        found = np.empty((4, nj + 1, 3, n))
+        found[:, 0] = _ROOT
+        # Of every joint Pinocchio tells the origin first.
+        told = np.frombuffer(walked).reshape(-1, nj, 4, 3)[:n].transpose(2, 1, 3, 0)
+        found[3, 1:], found[:3, 1:] = told[0], told[1:]
         return found
 
 
@@ -263,8 +263,9 @@ class Kinematics:
             Regressor(
                 own,
                 joints,
-                _some(carriers, [0, *(j + 1 for j in own)]),
-                _some(self._tree.placements, own),
+                # All of them are not copied.
+                carriers if len(own) == joints else carriers[:, [0, *(j + 1 for j in own)]],
+                self._tree.placements if len(own) == joints else self._tree.placements[list(own)],
                 frame.placement,
             )
             for frame, own in zip(self._frames, self.ways, strict=True)
@@ -351,9 +352,3 @@ def way(parents: Sequence[int], joint: int) -> tuple[int, ...]:
         found.append(joint)
         joint = parents[joint]
     return tuple(reversed(found))
-
-
-def _some(values: Array, numbers: Sequence[int]) -> Array:
-    """Return some of values (k, ...), by number; all of them are not copied."""
-    every = list(numbers) == list(range(len(values)))
-    return values if every else values[list(numbers)]

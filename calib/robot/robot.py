@@ -20,6 +20,7 @@ from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
 from calib.foundations.words import listed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.deviation import Motions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import STANDARD_GRAVITY, Holding, Load, Payload, Weights, checked_gravity, checked_payload
 from calib.robot.kinematics import Joints, Kinematics, MovingType, Regressor, followed
@@ -117,6 +118,14 @@ class Deviations:
         for name, shape in (("placements", (None, 6)), ("offsets", (None,)), ("terms", (None,))):
             refuse_shape(getattr(self, name), shape, f"deviations: {name}", RobotError)
 
+    @classmethod
+    def trusted(cls, placements: Array, offsets: Array, terms: Array) -> "Deviations":
+        """Return deviations that are known to be right, of arrays that nobody changes: nothing is looked at."""
+        made = object.__new__(cls)
+        for name, values in (("placements", placements), ("offsets", offsets), ("terms", terms)):
+            object.__setattr__(made, name, values)
+        return made
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TipMotion:
@@ -124,7 +133,8 @@ class TipMotion:
 
     ``tip``: where it is, and how it follows its carriers: the base, and the moving joints on its way. The local twists
     of these for a change ``e`` of the deviations (placements row by row, then offsets) are ``follow @ e``, with
-    ``follow`` (6 (w + 1), n) the same for all rows; the ways in which links give way are joints as well. ``rates`` (N,
+    ``follow`` (6 (w + 1), n), component by component, the same for all rows; the ways in which links give way are
+    joints as well. ``rates`` (N,
     k, n): how passive joints of closed loops follow deviations; k is 0 without loops. ``bases``: what terms add per
     unit of their coefficients; None without terms.
     """
@@ -394,15 +404,23 @@ class TipModel:
 
     ``types`` of all joints that move and ``passive``, numbers of those that loops determine; ``end`` (4, 4): the tip in
     the last joint that carries it. ``nominal``: that of the robot, or of the same one with another tip, where it is
-    made once for many deviations.
+    made once for many deviations. ``motions``: of the placements of these, where they are made already.
     """
 
-    def __init__(self, robot: Robot, deviations: Deviations | None = None, nominal: "Nominal | None" = None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        deviations: Deviations | None = None,
+        nominal: "Nominal | None" = None,
+        motions: Motions | None = None,
+    ) -> None:
         d = deviations or robot.no_deviations()
         self._nominal = nominal = nominal or Nominal(robot)
-        refuse_other_deviations(robot, d)
         m = nominal.mechanism
-        self._skeleton = nominal.outline.skeleton(m.deviations(d.placements))
+        if motions is None:
+            refuse_other_deviations(robot, d)
+            motions = Motions.of(d.placements)
+        self._skeleton = nominal.outline.moved(m.of_segments(motions))
         self._tip = int(m.carrying[robot.tip_joint]) if robot.tip_joint >= 0 else -1
         self._mechanism, self._offsets = m, m.offset_coupling @ d.offsets
         self.types, self.passive = nominal.outline.types, nominal.passive
@@ -417,7 +435,7 @@ class TipModel:
         """How local twists of the tip's carriers follow the deviations (6 (w + 1), n): as in :class:`TipMotion`."""
         by_placement = self._mechanism.of_chain(follow(self._skeleton, self._tip))
         every = np.concatenate([by_placement, self._nominal.by_offset(self._tip)], axis=2)
-        return every.reshape(6 * len(every), -1)
+        return every.reshape(-1, every.shape[2])
 
     def joint_positions(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
@@ -500,14 +518,14 @@ class Nominal:
         self._by_offset: dict[int, Array] = {}
 
     def by_offset(self, joint: int) -> Array:
-        """Return how local twists of what carries the end of a joint follow the offsets (w + 1, 6, nj)."""
+        """Return how local twists of what carries the end of a joint follow the offsets (6, w + 1, nj)."""
         if joint not in self._by_offset:
             m, way = self.mechanism, self.outline.path(joint).way
-            found = np.zeros((len(way) + 1, 6, m.offset_coupling.shape[1]))
+            found = np.zeros((6, len(way) + 1, m.offset_coupling.shape[1]))
             for k, j in enumerate(way):
                 if j not in self.passive:
                     # A joint's own motion commutes with a change of its position: the same for all rows.
-                    found[k + 1, 5 if self.outline.types[j] == "revolute" else 2] = m.offset_coupling[j]
+                    found[5 if self.outline.types[j] == "revolute" else 2, k + 1] = m.offset_coupling[j]
             self._by_offset[joint] = found
         return self._by_offset[joint]
 

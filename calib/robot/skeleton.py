@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray
-from calib.robot import deviation
+from calib.robot.deviation import Motions
 from calib.robot.kinematics import Frame, MovingType, Tree, way
 
 
@@ -82,9 +82,10 @@ class Outline:
         behind = [i for i, segment in enumerate(segments) if segment.parent >= 0]
         self._fixed = [(i, segments[i].parent) for i in behind if segments[segments[i].parent].number is None]
         self.carriers = [self.moving_at(segment.parent) for segment in segments]
-        self._moving = [i for i, segment in enumerate(segments) if segment.type != "fixed"]
+        moving = [i for i, segment in enumerate(segments) if segment.type != "fixed"]
+        self._moving = np.array(moving, dtype=np.intp)
         self.types: tuple[MovingType, ...] = tuple(segment.type for segment in segments if segment.type != "fixed")
-        self.parents = tuple(self.carriers[i] for i in self._moving)
+        self.parents = tuple(self.carriers[i] for i in moving)
         self._paths: dict[int, Path] = {}
 
     def path(self, joint: int) -> "Path":
@@ -108,22 +109,26 @@ class Outline:
 
     def skeleton(self, deviations: Array) -> Skeleton:
         """Return the skeleton with deviations (n, 6)."""
-        motion, twists = deviation.motion_and_twists(deviations)
-        placed = self._placements @ motion
+        return self.moved(Motions.of(deviations))
+
+    def moved(self, motions: Motions) -> Skeleton:
+        """Return the skeleton with deviations whose n motions are made already."""
+        placed = self._placements @ motions.E
         carried = placed.copy() if self._fixed else placed
         for i, parent in self._fixed:
             carried[i] = carried[parent] @ placed[i]
-        return Skeleton(self, placed, carried, twists, Tree(self.types, self.parents, carried[self._moving]))
+        return Skeleton(self, placed, carried, motions.W, Tree(self.types, self.parents, carried[self._moving]))
 
 
 def follow(s: Skeleton, joint: int) -> Array:
-    """Return how local twists of what carries the end of a joint follow the deviations (w + 1, 6, 6 n).
+    """Return how local twists of what carries the end of a joint follow the deviations (6, w + 1, 6 n).
 
     A carrier is the base, or a moving joint on the way after its own motion, with all that is fixed to it.
     """
     path = s.outline.path(joint)
-    found = np.zeros((len(path.way) + 1, 6, len(s.placed), 6))
-    found[path.carriers, :, path.segments] = rigid.adjoint(s.carried[path.segments]) @ s.twists[path.segments]
+    found = np.zeros((6, len(path.way) + 1, len(s.placed), 6))
+    own = rigid.carried(s.carried[path.segments], s.twists[path.segments])
+    found[:, path.carriers, path.segments] = own.transpose(1, 0, 2)
     return found.reshape(*found.shape[:2], -1)
 
 

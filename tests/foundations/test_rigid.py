@@ -45,6 +45,19 @@ def test_inverse_and_translation() -> None:
     np.testing.assert_allclose(rigid.translation(np.array([1.0, 2.0, 3.0])) @ [0, 0, 0, 1], [1, 2, 3, 1])
 
 
+def test_carried_twists_are_those_of_the_adjoint() -> None:
+    T, twists = placements(), np.random.default_rng(4).normal(size=(len(placements()), 6, 5))
+    np.testing.assert_allclose(rigid.carried(T, twists), rigid.adjoint(T) @ twists, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(rigid.carried(T[1], twists[1]), rigid.adjoint(T[1]) @ twists[1], rtol=0, atol=1e-13)
+
+
+def test_products_are_the_same_however_rows_lie_in_memory() -> None:
+    A, B = placements()[0], placements()
+    last = np.ascontiguousarray(B.transpose(2, 1, 0)).transpose(2, 1, 0)
+    for one, other in ((A, B), (A, last), (B, last), (B, A)):
+        np.testing.assert_allclose(rigid.product(one, other), one @ other, rtol=0, atol=1e-14)
+
+
 def test_batches_of_any_shape() -> None:
     w = vectors(6).reshape(2, 3, 3)
     for f in (rigid.exp3, rigid.skew, rigid.left_jacobian_inverse, rigid.rx_ry_rz, rigid.rotation_of_rpy):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calib.foundations.errors import RobotError
 from calib.identification import system
 from calib.identification.parameters import scales
 from tests.support import machines
@@ -17,6 +18,12 @@ ARMS = {"ur10": ("example:ur_description/urdf/ur10_robot.urdf", "tool0")} | {
 @pytest.mark.parametrize("name", ARMS)
 def test_columns_match_central_differences(name: str, observes: str, tool: str) -> None:
     check(*problem(*ARMS[name], observes, tool))
+
+
+def test_a_machine_whose_deviations_are_no_numbers_is_refused() -> None:
+    found, x = problem(*ARMS["ur10"], "position", "position", rows=10)
+    with pytest.raises(RobotError, match="not finite"):
+        found.machine(np.full_like(x, np.nan))
 
 
 @pytest.mark.parametrize("observes", ["position", "pose"])

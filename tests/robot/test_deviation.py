@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import logm
 from scipy.spatial.transform import Rotation
 
-from calib.robot.deviation import axis_frame, motion, twists
+from calib.robot.deviation import Motions, axis_frame, motion, twists
 
 
 def deviations(n: int, size: float) -> np.ndarray:
@@ -18,6 +18,13 @@ def test_a_deviation_translates_then_turns_about_its_own_x_y_z() -> None:
     np.testing.assert_array_equal(E[:, :3, 3], d[:, :3])
     np.testing.assert_allclose(E[:, :3, :3], Rotation.from_euler("XYZ", d[:, 3:]).as_matrix(), atol=1e-14)
     np.testing.assert_array_equal(motion(np.zeros(6)), np.eye(4))
+
+
+def test_motions_are_motion_and_twists_in_one_go() -> None:
+    d = deviations(20, 3.0)
+    E, W = Motions.of(d)
+    np.testing.assert_allclose(E, motion(d), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(W, twists(d), rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.3, 3.0])

@@ -74,11 +74,11 @@ def test_numbers_are_followed_through_another_frame_of_the_link(tree: Tree, fram
     assert not np.delete(regressor.matrix, own, axis=2).any() and len(own) < regressor.matrix.shape[2]
     # Every joint is placed in the carrier before it, and what is behind the last one in that.
     w = len(regressor.way)
-    by = np.zeros((6 * (w + 1), 6 * (w + 1)))
+    by = np.zeros((6, w + 1, 6 * (w + 1)))
     for k, T in enumerate([*regressor.placements, regressor.end @ tool]):
-        by[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = rigid.adjoint(T)
-    found = np.empty((5, 7, len(by)))
-    followed(numbers, by, found)
+        by[:, k, 6 * k : 6 * k + 6] = rigid.adjoint(T)
+    found = np.empty((5, 7, 6 * (w + 1)))
+    followed(numbers, by.reshape(6 * (w + 1), -1), found)
     expected = np.concatenate([expected[:, :, own], rows], axis=2)
     np.testing.assert_allclose(found.transpose(1, 0, 2), expected, atol=1e-12)
     jacobian = rows @ rigid.adjoint(rigid.inverse(tool)) @ regressor.by_joint(TYPES, range(len(TYPES)))

@@ -15,8 +15,11 @@ def residual(seen: Seen) -> Linearised:
     """
     orientation = seen.data.orientation
     assert orientation is not None, "poses have measured orientations"
-    R_t, linear = np.swapaxes(seen.tools[:, :3, :3], 1, 2), position.residual(seen)
-    turn = rigid.log3(R_t @ orientation[seen.rows])
+    # Rows last, in memory as well, so that what is done to all of them is done at once.
+    R = seen.tools[:, :3, :3].transpose(1, 2, 0)
+    measured = np.ascontiguousarray(orientation[seen.rows].transpose(1, 2, 0))
+    linear, turn = position.residual(seen), rigid.log3(np.einsum("kin,kjn->ijn", R, measured).transpose(2, 0, 1))
     # log(exp(-w) exp(r)) = r - Jl(r)^-1 w, with w in the axes of the tool.
-    by_turn = np.ascontiguousarray((-rigid.left_jacobian_inverse(turn) @ R_t).transpose(1, 2, 0))
+    back = rigid.left_jacobian_inverse(turn).transpose(1, 2, 0)
+    by_turn = -np.einsum("ikn,jkn->ijn", back, R)
     return Linearised(np.concatenate([linear.residual, turn], axis=1), (*linear.tool, Follow(None, by_turn)))

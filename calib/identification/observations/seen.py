@@ -6,9 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, read_only
 from calib.measurement.measurements import Measurements
 from calib.robot.kinematics import Follow
+
+_MINUS = read_only(-np.eye(3)[:, :, None])
 
 
 class Seen(NamedTuple):
@@ -61,7 +63,7 @@ class Moved(NamedTuple):
 
 def minus_position() -> Follow:
     """Return how numbers (n, 3) follow a frame that are something else minus its position."""
-    return Follow(-np.eye(3)[:, :, None], None)
+    return Follow(_MINUS, None)
 
 
 def by_point(rows: Array) -> Follow:
