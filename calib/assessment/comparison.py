@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from calib.assessment.choice import choose_terms
+from calib.assessment.choice import Choice, choose_terms
 from calib.assessment.validation import (
     ChosenRows,
     CrossValidation,
@@ -251,14 +251,17 @@ def _finder(
     same order of rows.
     """
     whole: Fit | None = None
+    by_all: Choice | None = None
 
     def find(rows: ChosenRows) -> Fit:
-        nonlocal whole
+        nonlocal whole, by_all
         progress(*next(told))
         if choosing:
             known, here = geometries.pop(0) if geometries else None, model.within(rows.sets)
             sigmas, losses = rows.model_sigmas, rows.losses
-            return choose_terms(here, rows.sets, model_sigmas=sigmas, losses=losses, geometric=known).fit
+            choice = choose_terms(here, rows.sets, model_sigmas=sigmas, losses=losses, geometric=known, like=by_all)
+            by_all = by_all or choice
+            return choice.fit
         fit = rows.fit(model, near=whole)
         if whole is None:
             whole = fit

@@ -11,7 +11,6 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.linear import one_thread
 from calib.machine.gaussian import GaussianResiduals, Kernel, in_row_order, likeliest_kernel
 
-
 # Of more rows so many are looked at: what it costs to judge them grows with the third power of their number.
 MOST_JUDGED = 2500
 

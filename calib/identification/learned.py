@@ -148,9 +148,12 @@ def too_few(rows: NormalEquations, groups: int) -> BoolArray:
     return np.asarray(_seen(rows, groups) < _FEWEST)
 
 
-def learned_widths(rows: NormalEquations, few: BoolArray) -> Widths:
-    """Return the widths that equations teach; groups with too ``few`` (g,) keep the scale of their parameters."""
-    return _learned(rows, np.ones(len(few)), few)
+def learned_widths(rows: NormalEquations, few: BoolArray, begin: Array | None = None) -> Widths:
+    """Return the widths that equations teach; groups with too ``few`` (g,) keep the scale of their parameters.
+
+    ``begin`` (g,): those to begin with, the scale of parameters when None.
+    """
+    return _learned(rows, np.ones(len(few)) if begin is None else begin, few)
 
 
 def _seen(rows: NormalEquations, groups: int) -> Array:

@@ -51,7 +51,7 @@ _NOISE = (1e-6, 10.0)
 # stop on the way to a better optimum.
 _ENOUGH: Any = {"ftol": 1e-9, "maxiter": 100}
 # Of so many rows or more, where a look takes long, a search ends that after so many steps is not likelier than noise
-# alone by this much, as a logarithm, if none before it was: it has k + 2 numbers to choose, and chance gives it as much.
+# alone by this much, as a logarithm, if none before it was: it has k + 2 numbers to choose, and chance brings as much.
 _MANY_ROWS, _STEPS_TO_HOPE, _BY_CHANCE = 400, 15, 3.0
 # Scales, amplitude and noise show in so many rows as well as in all, at a fraction of the cost.
 _ROWS_FOR_SCALES = 600
