@@ -376,6 +376,14 @@ def test_progress_tells_every_fit_and_how_many_are_left() -> None:
     assert [text for text, _ in told[3:]] == ["offsets: all rows", "offsets: fold 1 of 2", "offsets: fold 2 of 2"]
 
 
+def test_of_very_many_rows_there_are_fewer_folds_where_nobody_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    data, models = measured(0, 40, placed=False), {"frames": calib.error_model(machines.load(*UR10))}
+    assert compare_models(models, data).folds == 10
+    monkeypatch.setattr(comparison, "_VERY_MANY_ROWS", 39)
+    assert compare_models(models, data).folds == 5
+    assert compare_models(models, data, scheme=10).folds == 10
+
+
 @pytest.mark.skipif(DATASETS is None, reason="CALIB_DATASETS does not name a folder of real measurements (ur10_leica)")
 def test_on_a_real_ur10_the_recommended_model_has_the_lowest_error_within_one_standard_error(
     monkeypatch: pytest.MonkeyPatch,
