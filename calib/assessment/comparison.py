@@ -176,9 +176,10 @@ def compare_models(
 
     ``scheme``: the number of folds, or "leave-one-group-out"; when None 10 folds, of more than 5000 rows 5. Rows of one
     pose, of one socket (where there are two or more) and of one word in the column ``group`` stay together; of more
-    than 2000 rows, 2000 are used, taken at random over all groups, the same ones every time. ``choose``: names of the models to which joint terms are added that
-    :func:`calib.judging.choose_terms` finds, in every fold anew; when None, that of :func:`nested_models` which stands
-    for them. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`; every held-out row counts the same.
+    than 2000 rows, 2000 are used, taken at random over all groups, the same ones every time. ``choose``: names of the
+    models to which joint terms are added that :func:`calib.judging.choose_terms` finds, in every fold anew; when None,
+    that of :func:`nested_models` which stands for them. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`;
+    every held-out row counts the same.
     ``progress`` is told each fit, and how many more there are.
 
     A model with more unknowns than the rows determine is refused; when all are, this raises IdentificationError. Raises
