@@ -227,7 +227,6 @@ def choose_terms(
     model_sigmas: Sequence[float | None] | None = None,
     losses: Sequence[Loss] | None = None,
     geometric: Fit | None = None,
-    like: Choice | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
     """Choose joint terms for the geometry of ``model`` by grouped cross-validation over ``count`` folds.
@@ -236,9 +235,37 @@ def choose_terms(
     the same ones every time. ``offered``: those to choose from, by default :func:`candidates` of the robot, for a DH
     table but those of links. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose errors this raises,
     and MeasurementError when all rows are of one group. ``geometric``: the fit of ``model`` without terms to these
-    measurements with these options, where it is known already. ``like``: a choice by more rows of the same machine; the
-    widths of all harmonics are sought near its own. Where poses are in a few places with nothing between
+    measurements with these options, where it is known already. Where poses are in a few places with nothing between
     them, the widths of chosen terms are learned, unless a prior is stated.
+    """
+    return choose_terms_like(
+        None,
+        model,
+        measurements,
+        offered=offered,
+        count=count,
+        model_sigmas=model_sigmas,
+        losses=losses,
+        geometric=geometric,
+        progress=progress,
+    )
+
+
+def choose_terms_like(
+    like: Choice | None,
+    model: ErrorModel,
+    measurements: Measurements | Sequence[Measurements],
+    *,
+    offered: Sequence[Candidate] | None = None,
+    count: int = FOLDS,
+    model_sigmas: Sequence[float | None] | None = None,
+    losses: Sequence[Loss] | None = None,
+    geometric: Fit | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Choice:
+    """Choose as :func:`choose_terms` does; the widths of all harmonics are sought near those of a choice by more rows.
+
+    ``like``: that choice, for the same machine, or None.
     """
     with one_thread():
         if geometric is None:

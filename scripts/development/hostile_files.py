@@ -569,8 +569,8 @@ sigma = "0.1 mm"
 
 
 def _two_streams(folder: Path, size: int) -> None:
-    """Write a recording of a moving arm, of 10 kB a second, whose points are in two tables."""
-    made = streams.streams(1, seconds=max(size / 10_000.0, 20.0), rates=(100.0, 30.0))
+    """Write a recording of a moving arm, of 7 kB a second, whose points are in two tables."""
+    made = streams.streams(1, seconds=max(size / 7_000.0, 40.0), rates=(100.0, 30.0), offset=0.3)
     seen = np.column_stack(list(made.seen.values()))
     for k, some in enumerate(np.array_split(seen, 2)):
         _table(folder / f"seen{k}.csv", ",".join(made.seen), some, 5)
