@@ -28,6 +28,7 @@ class AllHarmonics:
 
     ``terms``: they and what else was chosen, but gains of these readings. ``held_out``, ``away`` and ``rms``: as of a
     step of the choice. ``taken``: whether they predict surely better than what was chosen, and a fit converges.
+    ``widths``: those that all rows teach, of every reading that has harmonics.
     """
 
     readings: tuple[str, ...]
@@ -37,6 +38,7 @@ class AllHarmonics:
     away: HeldOut | None
     rms: float
     taken: bool
+    widths: tuple[float, ...] = ()
 
     def record(self) -> dict[str, object]:
         """Return it as plain data, in SI units."""
@@ -80,10 +82,19 @@ class Offer(NamedTuple):
     few: BoolArray
 
     @classmethod
-    def of(cls, known: Known, harmonics: IntArray, products: Products, chosen: IntArray, most: int) -> "Offer | None":
+    def of(
+        cls,
+        known: Known,
+        harmonics: IntArray,
+        products: Products,
+        chosen: IntArray,
+        most: int,
+        begin: Sequence[float] = (),
+    ) -> "Offer | None":
         """Return what is offered beside ``chosen`` columns, at most so many with these; None where that is nothing.
 
-        Harmonics of readings of which rows tell too little to teach a width are left out.
+        Harmonics of readings of which rows tell too little to teach a width are left out. ``begin``: widths of every
+        reading, of more rows of the same machine, near which those of these rows are sought.
         """
         every = np.arange(len(harmonics))
         order = _order(harmonics, every, chosen, most)
@@ -96,7 +107,8 @@ class Offer(NamedTuple):
         columns = _columns(harmonics, kept, order, chosen)
         if columns.size == chosen.size:
             return None
-        start = learned_widths(_Equations(known, harmonics, products, columns).of(columns, None), few)
+        rows = _Equations(known, harmonics, products, columns).of(columns, None)
+        start = learned_widths(rows, few, np.array(begin) if len(begin) == len(few) else None)
         return cls(known, harmonics, kept, order, start, few)
 
     def columns(self, chosen: IntArray) -> IntArray:

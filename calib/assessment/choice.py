@@ -238,6 +238,35 @@ def choose_terms(
     measurements with these options, where it is known already. Where poses are in a few places with nothing between
     them, the widths of chosen terms are learned, unless a prior is stated.
     """
+    return choose_terms_like(
+        None,
+        model,
+        measurements,
+        offered=offered,
+        count=count,
+        model_sigmas=model_sigmas,
+        losses=losses,
+        geometric=geometric,
+        progress=progress,
+    )
+
+
+def choose_terms_like(
+    like: Choice | None,
+    model: ErrorModel,
+    measurements: Measurements | Sequence[Measurements],
+    *,
+    offered: Sequence[Candidate] | None = None,
+    count: int = FOLDS,
+    model_sigmas: Sequence[float | None] | None = None,
+    losses: Sequence[Loss] | None = None,
+    geometric: Fit | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Choice:
+    """Choose as :func:`choose_terms` does; the widths of all harmonics are sought near those of a choice by more rows.
+
+    ``like``: that choice, for the same machine, or None.
+    """
     with one_thread():
         if geometric is None:
             progress("choosing joint terms: fitting geometry")
@@ -282,7 +311,8 @@ def choose_terms(
 
         harmonics = None
         if offered is None and not near.apart and geometric.model.priors.harmonics in (None, "learned"):
-            harmonics = _all_harmonics(system, chosen_from, entered[:most], largest, held, far, progress)
+            begin = () if like is None or like.all_harmonics is None else like.all_harmonics.widths
+            harmonics = _all_harmonics(system, chosen_from, entered[:most], largest, begin, held, far, progress)
         steps = tuple(
             Step(
                 None if k == 0 else chosen_from[entered[k - 1]],
@@ -332,13 +362,15 @@ def _all_harmonics(
     offered: Sequence[Candidate],
     entered: Sequence[int],
     largest: int,
+    begin: Sequence[float],
     near: "_Judged",
     far: Callable[[], "_Judged"],
     progress: Callable[[str], None],
 ) -> AllHarmonics | None:
     """Return how all harmonics with learned widths predict beside what ``entered``; None where they are not offered.
 
-    Judged by poses held out, ``near``, and by neighbourhoods, ``far``, if geometry alone foretells these.
+    Judged by poses held out, ``near``, and by neighbourhoods, ``far``, if geometry alone foretells these. ``begin``:
+    widths near which those are sought, as :class:`Offer` has them.
     """
     by_reading = dict[str, list[int]]()
     for k, one in enumerate(offered):
@@ -353,7 +385,7 @@ def _all_harmonics(
         return tuple(k for k, term in first if not (kind_of(term).grows and term.reading in by_reading))
 
     columns = np.array([[system.columns([k]) for k in own] for own in by_reading.values()], dtype=np.intp)
-    offer = Offer.of(system.known, columns, near.products, system.columns(kept(entered)), largest)
+    offer = Offer.of(system.known, columns, near.products, system.columns(kept(entered)), largest, begin)
     if offer is None:
         return None
     progress("choosing joint terms: judging all harmonics with learned widths")
@@ -375,7 +407,7 @@ def _all_harmonics(
     harmonics = [k for name in readings for k in by_reading[name][: offer.order]]
     every = (term for k in dict.fromkeys((*kept(entered), *harmonics)) for term in offered[k].terms)
     terms = ordered(system.robot, every)
-    return AllHarmonics(readings, offer.order, terms, held, away, rms, taken)
+    return AllHarmonics(readings, offer.order, terms, held, away, rms, taken, tuple(offer.start.widths.tolist()))
 
 
 def _with_learned_widths(model: ErrorModel) -> ErrorModel:

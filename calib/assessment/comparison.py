@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from calib.assessment.choice import choose_terms
+from calib.assessment.choice import Choice, choose_terms_like
 from calib.assessment.validation import (
     ChosenRows,
     CrossValidation,
@@ -47,6 +47,8 @@ TERMS, OWN = "joint terms", "as in the job"
 _SOLVED = 1e-6
 # Rows that models are compared by: every one is fitted once for every fold.
 _ENOUGH_ROWS = 2000
+# Of tables with more rows there are fewer folds, where nobody says how many.
+_VERY_MANY_ROWS, _FEWER_FOLDS = 5000, 5
 # All rows of all fits of one model, where every group is held out by itself.
 _MOST_FITTED = 100_000
 
@@ -164,7 +166,7 @@ def compare_models(
     models: Mapping[str, ErrorModel],
     measurements: Measurements | Sequence[Measurements],
     *,
-    scheme: Scheme = FOLDS,
+    scheme: Scheme | None = None,
     choose: Collection[str] | None = None,
     model_sigmas: Sequence[float | None] | None = None,
     losses: Sequence[Loss] | None = None,
@@ -172,11 +174,12 @@ def compare_models(
 ) -> ModelComparison:
     """Compare models of one robot by grouped cross-validation, all on the same folds.
 
-    ``scheme``: the number of folds, or "leave-one-group-out". Rows of one pose, of one socket (where there are two or
-    more) and of one word in the column ``group`` stay together; of more than 2000 rows, 2000 are used, taken at random
-    over all groups, the same ones every time. ``choose``: names of the models to which joint terms are added that
-    :func:`calib.judging.choose_terms` finds, in every fold anew; when None, that of :func:`nested_models` which stands
-    for them. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`; every held-out row counts the same.
+    ``scheme``: the number of folds, or "leave-one-group-out"; when None 10 folds, of more than 5000 rows 5. Rows of one
+    pose, of one socket (where there are two or more) and of one word in the column ``group`` stay together; of more
+    than 2000 rows, 2000 are used, taken at random over all groups, the same ones every time. ``choose``: names of the
+    models to which joint terms are added that :func:`calib.judging.choose_terms` finds, in every fold anew; when None,
+    that of :func:`nested_models` which stands for them. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`;
+    every held-out row counts the same.
     ``progress`` is told each fit, and how many more there are.
 
     A model with more unknowns than the rows determine is refused; when all are, this raises IdentificationError. Raises
@@ -197,7 +200,7 @@ def compare_models(
     masks = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
     rows = ChosenRows(sets, model_sigmas, losses).some(masks)
     group = np.unique(group[looked_at], return_inverse=True)[1]
-    fold = _folds(group, scheme)
+    fold = _folds(group, (_FEWER_FOLDS if all_rows > _VERY_MANY_ROWS else FOLDS) if scheme is None else scheme)
     number = int(fold.max()) + 1
     fits: dict[str, Fit] = {}
     # Joint terms are chosen about a geometry that is often a model of its own, fitted to all folds by then.
@@ -251,14 +254,17 @@ def _finder(
     same order of rows.
     """
     whole: Fit | None = None
+    by_all: Choice | None = None
 
     def find(rows: ChosenRows) -> Fit:
-        nonlocal whole
+        nonlocal whole, by_all
         progress(*next(told))
         if choosing:
             known, here = geometries.pop(0) if geometries else None, model.within(rows.sets)
             sigmas, losses = rows.model_sigmas, rows.losses
-            return choose_terms(here, rows.sets, model_sigmas=sigmas, losses=losses, geometric=known).fit
+            choice = choose_terms_like(by_all, here, rows.sets, model_sigmas=sigmas, losses=losses, geometric=known)
+            by_all = by_all or choice
+            return choice.fit
         fit = rows.fit(model, near=whole)
         if whole is None:
             whole = fit

@@ -15,7 +15,12 @@ def models(
     job: JobFile,
     folds: Annotated[
         int | None,
-        typer.Option("--folds", metavar="N", min=2, help=f"Number of parts, held out in turn.  [default: {FOLDS}]"),
+        typer.Option(
+            "--folds",
+            metavar="N",
+            min=2,
+            help=f"Number of parts, held out in turn.  [default: {FOLDS}; 5 of more than 5000 rows]",
+        ),
     ] = None,
     leave_one_group_out: Annotated[
         bool, typer.Option("--leave-one-group-out", help="Hold out every pose, socket or group by itself.")
@@ -51,7 +56,7 @@ def models(
             found = compare_models(
                 nested,
                 inputs.identify,
-                scheme="leave-one-group-out" if leave_one_group_out else folds or FOLDS,
+                scheme="leave-one-group-out" if leave_one_group_out else folds,
                 choose=choose & nested.keys(),
                 model_sigmas=[sigma for sigmas in inputs.model_sigmas for sigma in sigmas],
                 losses=inputs.losses,

@@ -6,7 +6,7 @@ from typing import cast
 import numpy as np
 
 from calib.compensation.corrections import Corrections, better
-from calib.compensation.inverse import Asked, Effort, How, limits, rowwise, solve
+from calib.compensation.inverse import Asked, Effort, How, cut_short, limits, rowwise, solve
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
@@ -106,6 +106,8 @@ def for_poses(
         left = np.arange(n) if found is None else np.flatnonzero(~found.reached & [not text for text in refused])
         if found is not None and not len(left):
             break
+        if found is not None and effort.spent:
+            return cut_short(found, refused)
         asked = Asked(poses, tools, np.broadcast_to(row, (n, len(row))), refused, conditions)
         more = solve(model, asked.subset(left), how, effort)
         found = more if found is None else better(found, more, left)

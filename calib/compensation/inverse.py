@@ -6,7 +6,7 @@ which positions alone are asked, take the readings that change least from where 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +34,8 @@ _SOUND = 1e-5
 # How often the machine may be looked at for N targets: a row of positions without a start needs some twenty looks, of a
 # few microseconds each; one that cannot be reached, several hundreds.
 _LOOKS, _LOOKS_PER_ROW = 500_000, 24
+# And where fewer than half of those tried so far are reached: of some thousand targets it is more than they may take.
+_LOOKS_OF_HOPELESS = 800_000
 # Newton doubles the digits: where a thousandth of the tolerance is reached, the rest is rounding.
 _GOAL = 1e-3
 # Longest step of a reading, in rad or m, so that the linear prediction means something.
@@ -95,7 +97,8 @@ class Effort:
     """
 
     def __init__(self, targets: int) -> None:
-        self._left, self._reserved = _LOOKS + _LOOKS_PER_ROW * targets, 0
+        self._left, self._reserved, self._spent = _LOOKS + _LOOKS_PER_ROW * targets, 0, 0
+        self._tried = self._reached = 0
 
     def reserve(self, targets: int) -> None:
         """Keep the share of so many targets for later."""
@@ -104,11 +107,18 @@ class Effort:
     def spend(self, looks: int) -> None:
         """Count some looks."""
         self._left -= looks
+        self._spent += looks
+
+    def told(self, tried: int, reached: int) -> None:
+        """Count targets that were tried, and those of them that are reached."""
+        self._tried += tried
+        self._reached += reached
 
     @property
     def spent(self) -> bool:
         """Whether nothing is left for the rows of now."""
-        return self._left <= self._reserved
+        hopeless = 2 * self._reached < self._tried and self._spent > _LOOKS_OF_HOPELESS
+        return hopeless or self._left <= self._reserved
 
 
 def limits(readings: Sequence[Reading]) -> tuple[Array, Array]:
@@ -215,8 +225,20 @@ def solve(model: CalibratedMachine, asked: Asked, how: How, effort: Effort | Non
         blocks = []
         for block in rows:
             effort.reserve(len(asked.start) - int(block[-1]) - 1 if len(block) else 0)
-            blocks.append(_solve_block(model, asked.subset(block), how, effort))
+            own = asked.subset(block)
+            found = _solve_block(model, own, how, effort)
+            effort.told(own.refused.count(""), int(np.count_nonzero(found.reached)))
+            blocks.append(found)
     return joined(blocks)
+
+
+def cut_short(found: Corrections, refused: Sequence[str]) -> Corrections:
+    """Return corrections that say of every row for which more could have been tried that the search was cut short."""
+    reasons = tuple(
+        why if reached or never or why.endswith(_CUT_SHORT) else why + _CUT_SHORT
+        for why, reached, never in zip(found.reasons, found.reached.tolist(), refused, strict=True)
+    )
+    return replace(found, reasons=reasons)
 
 
 def _solve_block(model: CalibratedMachine, asked: Asked, how: How, effort: Effort) -> Corrections:

@@ -27,6 +27,8 @@ _FEWEST = 3.0
 _MOST_INFORMATION = 1e10
 _MOST_ROUNDS = 8
 _NEGLIGIBLE_CHANGE = 0.01
+# Where widths change by less, as a logarithm, another search would only end within the rounding of the last one.
+_NO_CHANGE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +70,18 @@ def solve_learning(
     seen = _seen(rows, len(names))
     few = np.asarray(seen < _FEWEST)
     taught, shown = seen, ~few
+    closely = False
     for first in (True, *(False,) * (_MOST_ROUNDS - 1)):
         new, _, taught, shown = _learned(rows, widths, few)
         change = float(np.max(np.abs(np.log(new / widths))))
+        if closely and change < _NO_CHANGE:
+            break
         widths = new
         problem = _with_widths(problem, names, widths)
         settled = change < _NEGLIGIBLE_CHANGE
         # Noise that was found with widths as wide as a guess may hold a search where it is: the first one begins anew.
         found = seek(problem, found.x, variances) if first else found.again(problem, roughly=not settled)
+        closely = first or settled
         if settled:
             break
         rows = _equations(problem, found, variances, names)
@@ -142,9 +148,12 @@ def too_few(rows: NormalEquations, groups: int) -> BoolArray:
     return np.asarray(_seen(rows, groups) < _FEWEST)
 
 
-def learned_widths(rows: NormalEquations, few: BoolArray) -> Widths:
-    """Return the widths that equations teach; groups with too ``few`` (g,) keep the scale of their parameters."""
-    return _learned(rows, np.ones(len(few)), few)
+def learned_widths(rows: NormalEquations, few: BoolArray, begin: Array | None = None) -> Widths:
+    """Return the widths that equations teach; groups with too ``few`` (g,) keep the scale of their parameters.
+
+    ``begin`` (g,): those to begin with, the scale of parameters when None.
+    """
+    return _learned(rows, np.ones(len(few)) if begin is None else begin, few)
 
 
 def _seen(rows: NormalEquations, groups: int) -> Array:

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from scipy.linalg import cho_factor
+from scipy.linalg import cho_solve, cholesky
 from scipy.linalg.lapack import dpotri
 
 from calib.foundations.arrays import Array, BoolArray, IntArray
@@ -91,20 +91,23 @@ def likelihood(rows: NormalEquations, widths: Array, factors: Array) -> Likeliho
     gram = rows.known + np.tensordot(factors**-2.0, rows.grams, 1)
     H, b = gram[:p, :p].copy(), gram[:p, p]
     H[range(p), range(p)] += hold
-    lower = cho_factor(H, lower=True)
-    C = np.tril(dpotri(lower[0], lower=1)[0])
-    C += np.tril(C, -1).T
-    x = np.append(-C @ b, 1.0)
+    lower = cholesky(H, lower=True)
+    # The lower triangle of the covariance, by rows of its transpose; more of it is not needed, and takes longer.
+    C = dpotri(lower, lower=1)[0].T
+    diagonal = np.diag(C)
+    x = np.append(-cho_solve((lower, True), b), 1.0)
     count = np.bincount(rows.group[own], minlength=len(widths))
 
     def sums(values: Array) -> Array:
         return np.asarray(np.bincount(rows.group[own], weights=(values * hold)[own], minlength=len(widths)))
 
-    gamma = count - sums(np.diag(C))
+    gamma = count - sums(diagonal)
     # The sum of squares at its least, in a form that is not negative by rounding: x and what holds it, each by itself.
-    value = float(x @ gram @ x + np.sum(x[:p] ** 2 * hold) + 2.0 * np.sum(np.log(np.diag(lower[0]))))
+    value = float(x @ gram @ x + np.sum(x[:p] ** 2 * hold) + 2.0 * np.sum(np.log(np.diag(lower))))
     value += float(2.0 * count @ np.log(widths) + 2.0 * rows.counts @ np.log(factors))
-    used = np.array([(np.sum(C * g[:p, :p]) + x @ g @ x) for g in rows.grams]) / factors**2
+    traces = 2.0 * np.einsum("ij,cij->c", C, rows.grams[:, :p, :p])
+    traces -= np.einsum("i,cii->c", diagonal, rows.grams[:, :p, :p])
+    used = (traces + np.einsum("i,cij,j->c", x, rows.grams, x, optimize=True)) / factors**2
     return Likelihood(value, 2.0 * (gamma - sums(x[:p] ** 2)), 2.0 * (rows.counts - used), gamma, x[:p])
 
 

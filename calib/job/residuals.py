@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.assessment.gaussian_choice import bought
+from calib.assessment.gaussian_choice import MOST_JUDGED, bought
 from calib.assessment.validation import row_groups
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.units import MM
@@ -67,8 +67,9 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
     if gain.enters:
         return ResidualLevel(known, len(known.joints) + 2)
     without, held = gain
+    of = f" ({MOST_JUDGED} of {len(readings)} are looked at)" if len(readings) > MOST_JUDGED else ""
     sentence = (
-        f"The Gaussian process is left out: at rows held out it brings the position error from {without.rms / MM:.3g} "
-        f"mm to {held.rms / MM:.3g} mm, which is not better by more than a standard error."
+        f"The Gaussian process is left out: at rows held out{of} it brings the position error from "
+        f"{without.rms / MM:.3g} mm to {held.rms / MM:.3g} mm, which is not better by more than a standard error."
     )
     return ResidualLevel(None, 0, Finding.warning("gaussian-process-left-out", sentence))

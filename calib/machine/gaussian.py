@@ -6,7 +6,8 @@ of two rows in length scales of the joints, and noise at every row. Far from all
 its standard deviation grows to a. After Rasmussen and Williams, *Gaussian processes for machine learning*, 2006.
 """
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -49,6 +50,9 @@ _NOISE = (1e-6, 10.0)
 # The likelihood of errors that follow no joint is flat, and a search on it would not end for long. A rougher one would
 # stop on the way to a better optimum.
 _ENOUGH: Any = {"ftol": 1e-9, "maxiter": 100}
+# Of so many rows or more, where a look takes long, a search ends that after so many steps is not likelier than noise
+# alone by this much, as a logarithm, if none before it was: it has k + 2 numbers to choose, and chance brings as much.
+_MANY_ROWS, _STEPS_TO_HOPE, _BY_CHANCE = 400, 15, 3.0
 # Scales, amplitude and noise show in so many rows as well as in all, at a fraction of the cost.
 _ROWS_FOR_SCALES = 600
 _FEWEST_ROWS = 10
@@ -68,8 +72,9 @@ class Kernel(NamedTuple):
         """Return the covariances (N, M) in m^2, without noise, of an error component at points (N, k) and (M, k)."""
         d = cdist(a / self.scales, b / self.scales)
         d *= np.sqrt(3.0)
-        fading = np.exp(-d)
         # In place, as of 5000 rows each of these takes 200 MB.
+        fading = np.negative(d)
+        np.exp(fading, out=fading)
         d += 1.0
         d *= self.amplitude**2
         d *= fading
@@ -210,15 +215,37 @@ def likeliest_kernel(points: Array, errors: Array) -> Kernel:
     unit = float(np.sqrt(np.mean(errors[some] ** 2))) or 1.0
     scaled = errors[some] / unit
     bounds = [tuple(map(float, np.log(two))) for two in (_VARIANCE, *[_SCALES] * points.shape[1], _NOISE)]
+    # In these units noise alone has the variance 1.
+    hopeless = 0.5 * scaled.size * (1.0 + np.log(2.0 * np.pi)) - _BY_CHANCE if len(some) >= _MANY_ROWS else np.inf
     found = []
     for scale in _STARTS:
         start = np.log([0.7, *[scale] * points.shape[1], 0.3])
         best: Any = scipy.optimize.minimize(  # type: ignore[call-overload]
-            _unlikely, start, (points[some], scaled), method="L-BFGS-B", jac=True, bounds=bounds, options=_ENOUGH
+            _unlikely,
+            start,
+            (points[some], scaled),
+            method="L-BFGS-B",
+            jac=True,
+            bounds=bounds,
+            options=_ENOUGH,
+            callback=_hoping(hopeless),
         )
         found.append((float(best.fun), np.exp(best.x)))
+        if best.fun < hopeless:  # there is something to be found, and the others may find more of it
+            hopeless = np.inf
     _, (variance, *scales, noise) = min(found, key=lambda one: one[0])
     return Kernel(unit * float(np.sqrt(variance)), read_only(scales), unit * float(np.sqrt(noise)))
+
+
+def _hoping(hopeless: float) -> Callable[[Any], None]:
+    """Return what ends a search, after some steps, at a value of :func:`_unlikely` that is ``hopeless``."""
+    steps = itertools.count(1)
+
+    def after(intermediate_result: Any) -> None:
+        if next(steps) >= _STEPS_TO_HOPE and float(intermediate_result.fun) > hopeless:
+            raise StopIteration
+
+    return after
 
 
 def _unlikely(logarithms: Array, points: Array, errors: Array) -> tuple[float, Array]:

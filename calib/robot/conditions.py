@@ -43,6 +43,11 @@ class Conditions:
         refuse_fields(self)
         own_fields(self)
 
+    @property
+    def of_loads(self) -> tuple[Array | None, ...]:
+        """What bears on the robot beside its own links: payloads, gravity, and how the joints moved."""
+        return self.payload, self.gravity, self.motion
+
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""
         every = [getattr(self, name) for name in _NAMES]

@@ -10,14 +10,14 @@ dynamics ``M(q) a + C(q, v) v + g(q)`` of the tree (R. Featherstone, *Rigid body
 where loops close, gravity alone counts.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from calib.foundations.arguments import refuse_fields
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, read_only_view
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond
 from calib.robot.conditions import NO_CONDITIONS, Conditions
@@ -121,6 +121,10 @@ class Weights:
     own: tuple[tuple[int, int, Array], ...] = ()
 
 
+# Bytes of torques that are kept: a search asks for those of the same rows in every step.
+_MOST_KEPT = 2**25
+
+
 class Holding:
     """Evaluates what coordinates hold, the readings being given and links straight. Not to be shared by threads."""
 
@@ -138,6 +142,7 @@ class Holding:
         self._at_hands = Kinematics(s.tree, [s.end_frame(int(m.carrying[weights.hands[k]])) for k in moved])
         self._links = Kinematics(s.tree, [_frame(s, int(m.carrying[joint])) for _, joint, _ in weights.own])
         self.units = {name: k for k, (name, _, _) in enumerate(weights.units)}
+        self._kept: dict[tuple[object, ...], Array] = {}
 
     def __call__(self, readings: Array, told: Conditions = NO_CONDITIONS) -> Array:
         """Return the torques (N, c) in Nm, and forces in N of coordinates that are lengths, at readings (N, nr).
@@ -146,6 +151,24 @@ class Holding:
         The inertia of a payload that is the robot's own counts, that of another one does not; nor does that of links in
         how they themselves give way.
         """
+        return self._once(self._of_all, readings, told)
+
+    def of_units(self, readings: Array, told: Conditions = NO_CONDITIONS) -> Array:
+        """Return what each of the ``units`` alone would have coordinates hold (units, N, c), at readings (N, nr)."""
+        return self._once(self._of_units, readings, told)
+
+    def _once(self, made: Callable[[Array, Conditions], Array], readings: Array, told: Conditions) -> Array:
+        """Return what is made of rows, which follows nothing else; kept until there is too much of it."""
+        key = (made.__name__, readings.tobytes(), *(own if own is None else own.tobytes() for own in told.of_loads))
+        if key not in self._kept:
+            found = read_only_view(made(readings, told))
+            if (1 + len(self._kept)) * (found.nbytes + readings.nbytes) > _MOST_KEPT:
+                self._kept.clear()
+            self._kept[key] = found
+        return self._kept[key]
+
+    def _of_all(self, readings: Array, told: Conditions) -> Array:
+        """Return what coordinates hold (N, c) of all masses."""
         q, follow = self._posed(readings)
         gravity = self._gravity(len(q), told)
         found = _by_virtual_work(self._of_bodies(q, gravity, told), follow)
@@ -166,8 +189,8 @@ class Holding:
         rates, accelerations = np.moveaxis(told.motion @ own.T, 1, 0)
         return self._masses.driving(q, rates, accelerations, gravity)
 
-    def of_units(self, readings: Array, told: Conditions = NO_CONDITIONS) -> Array:
-        """Return what each of the ``units`` alone would have coordinates hold (units, N, c), at readings (N, nr)."""
+    def _of_units(self, readings: Array, told: Conditions) -> Array:
+        """Return what coordinates hold (units, N, c) of each unit alone."""
         q, follow = self._posed(readings)
         regressors, gravity = self._kinematics.regressors(q), self._gravity(len(q), told)
         found = np.empty((len(self._weights.units), len(q), follow.shape[-1]))

@@ -429,6 +429,7 @@ class TipModel:
         self._kinematics = Kinematics(self._skeleton.tree, [frame], nominal.joints)
         self._closure = Closure(self._skeleton, m.loops) if m.loops else None
         self._terms = None if nominal.terms is None else Transmission(nominal.terms, d.terms, nominal.holding)
+        self._rates: tuple[Array, tuple[Array, Array]] | None = None
 
     @cached_property
     def follow(self) -> Array:
@@ -457,7 +458,7 @@ class TipModel:
         if self._closure is None:
             rates = np.zeros((len(q), 0, self.follow.shape[1]))
         else:
-            rates = self._mechanism.of_chain(self._closure.rates(q, self._mechanism.offset_coupling))
+            rates = self._mechanism.of_chain(self._passive_rates(q)[0])
         return TipMotion(self._kinematics.regressors(q)[0], self.follow, rates, bases, self, q)
 
     def driven(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> tuple[Array, Array]:
@@ -500,9 +501,20 @@ class TipModel:
         active[passive] = 0.0
         found = (active.T @ by_joint.reshape(len(active), d * n)).reshape(-1, d, n)
         if self._closure is not None:
-            rates = self._closure.rates(q, coupling)[:, :, -coupling.shape[1] :]
-            found += np.einsum("kdn,nkc->cdn", by_joint[passive], rates)
+            found += np.einsum("kdn,nkc->cdn", by_joint[passive], self._passive_rates(q)[1])
         return found
+
+    def _passive_rates(self, q: Array) -> tuple[Array, Array]:
+        """Return how passive joints follow deviations and offsets, and what is coupled, at q (N, nj): asked for twice.
+
+        The last answer is kept.
+        """
+        if self._rates is None or self._rates[0] is not q:
+            assert self._closure is not None, "a model with passive joints has loops"
+            offsets, coupling = self._mechanism.offset_coupling, self._mechanism.coupling
+            every, ends = self._closure.rates(q, np.hstack([offsets, coupling])), coupling.shape[1]
+            self._rates = q, (every[:, :, :-ends], every[:, :, -ends:])
+        return self._rates[1]
 
 
 class Nominal:

@@ -22,6 +22,7 @@ import sys
 import tempfile
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -31,7 +32,11 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.support import cameras, machines
+from calib.job.stated import load_arm
+from calib.machine.gaussian import GaussianResiduals, Kernel, gaussian_bytes
+from calib.robot.load import load_robot
+from calib.robot.robot import Robot
+from tests.support import cameras, machines, streams
 
 ROOT = Path(__file__).resolve().parents[2]
 Floats = NDArray[np.float64]
@@ -43,6 +48,7 @@ _PATIENCE = 15  # s of processor time after which a process is ended
 _FILES = ("calibration.toml", "arm_cmm.urdf", "identification.csv", "validation.csv")
 _PLAN = ("plan", "calibration.toml", "-o", "plan.csv", "-n", "20")
 _CALIBRATE = ("calibrate", "calibration.toml", "-o", "out")
+_MODELS = ("models", "calibration.toml")
 _COMMAND = "import sys; sys.argv[0] = 'calib'; from calib.cli import main; main()"
 # A folder of results for the commands that read one; made once.
 _RESULTS = "results"
@@ -481,6 +487,177 @@ def _wide(folder: Path, size: int) -> None:
     path.write_text(header + "".join(f",c{k} [1]" for k in range(n)) + "\n" + text, encoding="utf-8")
 
 
+# Of rows that all differ, of several arms: what many fits are made of. ---------------------------------------------
+
+_UR10 = "example:ur_description/urdf/ur10_robot.urdf"
+_NOISE = 0.05e-3  # of what is measured, m
+_MADE = 0.5e-3  # of a deviation of an arm as it is made, m and rad
+_PROCESS = (
+    '[[levels]]\nname = "a"\nfree = ["*"]\n[[levels]]\nname = "b"\n'
+    'residual_model = { kind = "gaussian_process" }\n[error_model]'
+)
+
+
+def _seen_by_tracker(robot: Robot, n: int, *, sigma: float = _NOISE, swing: float = 1.2) -> tuple[str, Floats]:
+    """Header and rows (n, k) of positions at random readings of a badly made arm, in deg or m, and mm."""
+    rng = np.random.default_rng(0)
+    nominal = robot.no_deviations()
+    made = replace(nominal, placements=rng.normal(0.0, _MADE, nominal.placements.shape))
+    low, high = (
+        np.array([getattr(r, end) or sign for r in robot.readings]) for end, sign in (("lower", -1), ("upper", 1))
+    )
+    middle, half = 0.5 * (low + high), np.minimum(0.45 * (high - low), swing)
+    readings = middle + half * rng.uniform(-1.0, 1.0, (n, len(middle)))
+    tips = np.concatenate([robot.tips(some, made) for some in np.array_split(readings, max(n // 1000, 1))])
+    units = ["deg" if reading.dimension == "angle" else "m" for reading in robot.readings]
+    header = [f"{reading.name} [{unit}]" for reading, unit in zip(robot.readings, units, strict=True)]
+    shown = np.where([unit == "deg" for unit in units], np.degrees(readings), readings)
+    measured = 1e3 * (tips[:, :3, 3] + rng.normal(0.0, sigma, (n, 3)))
+    return ",".join([*header, "x [mm]", "y [mm]", "z [mm]"]), np.column_stack([shown, measured])
+
+
+def _table(path: Path, header: str, rows: Floats, digits: int = 3) -> None:
+    lines = (",".join(f"{value:.{digits}f}" for value in row) for row in rows)
+    path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
+
+
+def _different(job: tuple[tuple[str, str], ...] = (), sigma: float = _NOISE) -> Callable[[Path, int], None]:
+    """Fill the table to be identified from with rows of different poses, so many as there is room for."""
+
+    def write(folder: Path, size: int) -> None:
+        path = folder / "calibration.toml"
+        path.write_text(path.read_text(encoding="utf-8").rpartition("[[measurements]]")[0], encoding="utf-8")
+        robot = load_robot(folder / "arm_cmm.urdf", "probe")
+        _table(folder / "identification.csv", *_seen_by_tracker(robot, size // 75, sigma=sigma))
+        for old, new in job:
+            _edited(path, old, new)
+
+    return write
+
+
+def _parallelogram(folder: Path, size: int) -> None:
+    """Write the shipped arm with a loop, and for its levels tables of other poses where these are larger."""
+    case = ROOT / "robots" / "irb2400"
+    for path in case.iterdir():
+        shutil.copyfile(path, folder / path.name)
+    names = ("base_fit.csv", "level1.csv", "level2.csv")
+    if size > sum((case / name).stat().st_size for name in names):
+        arm = load_arm(folder / "calibration.toml")
+        header, rows = _seen_by_tracker(arm.model.robot, size // 75, swing=0.4)
+        for k, name in enumerate(names):
+            _table(folder / name, header, rows[k :: len(names)])
+
+
+_TWO_STREAMS = """schema = 1
+[robot]
+urdf = "{urdf}"
+tip = "{tip}"
+[error_model]
+offsets = "all"
+placements = "all"
+[[measurements]]
+file = "seen0.csv"
+readings = "joints.csv"
+clock = "free"
+sigma = "0.1 mm"
+[[measurements]]
+file = "seen1.csv"
+readings = "joints.csv"
+clock = "free"
+sigma = "0.1 mm"
+"""
+
+
+def _two_streams(folder: Path, size: int) -> None:
+    """Write a recording of a moving arm, of 7 kB a second, whose points are in two tables."""
+    made = streams.streams(1, seconds=max(size / 7_000.0, 40.0), rates=(100.0, 30.0), offset=0.3)
+    seen = np.column_stack(list(made.seen.values()))
+    for k, some in enumerate(np.array_split(seen, 2)):
+        _table(folder / f"seen{k}.csv", ",".join(made.seen), some, 5)
+    _table(folder / "joints.csv", ",".join(made.joints), np.column_stack(list(made.joints.values())), 5)
+    urdf, tip = streams.UR10
+    (folder / "calibration.toml").write_text(_TWO_STREAMS.format(urdf=urdf, tip=tip), encoding="utf-8")
+
+
+_TORSO = """schema = 1
+[robot]
+urdf = "torso.urdf"
+tip = "a6"
+[error_model]
+offsets = "all"
+placements = "all"
+[[measurements]]
+file = "a.csv"
+sigma = "0.05 mm"
+[[measurements]]
+file = "b.csv"
+tip = "b6"
+tool = "other"
+sigma = "0.05 mm"
+"""
+
+
+def _torso(folder: Path, size: int) -> None:
+    """Write two arms of six joints on a torso of two."""
+    links, joints = ['<link name="base"/><link name="t1"/><link name="t2"/>'], []
+    joint = (
+        '<joint name="j_{0}" type="revolute"><origin xyz=".1 .05 .3" rpy="{2} 0 0"/><axis xyz="0 0 1"/>'
+        '<parent link="{1}"/><child link="{0}"/><limit lower="-2" upper="2" effort="1" velocity="1"/></joint>'
+    )
+    ways = [["base", "t1", "t2"], *(["t2", *(f"{arm}{k}" for k in range(1, 7))] for arm in "ab")]
+    for way in ways:
+        for k, (parent, child) in enumerate(itertools.pairwise(way)):
+            joints.append(joint.format(child, parent, (1.3, -1.1, 0.7)[k % 3]))
+            links += [] if child.startswith("t") else [f'<link name="{child}"/>']
+    (folder / "torso.urdf").write_text(f'<robot name="r">{"".join(links + joints)}</robot>', encoding="utf-8")
+    for arm in "ab":
+        robot = load_robot(folder / "torso.urdf", f"{arm}6")
+        _table(folder / f"{arm}.csv", *_seen_by_tracker(robot, max(size // 150, 60)))
+    (folder / "calibration.toml").write_text(_TORSO, encoding="utf-8")
+
+
+_GIVING_WAY = """schema = 1
+[robot]
+urdf = "{urdf}"
+tip = "tool0"
+[error_model]
+offsets = "all"
+placements = "all"
+lateral_moments = "all"
+torque = "all"
+[[measurements]]
+file = "loaded.csv"
+sigma = "0.05 mm"
+loss = "cauchy"
+"""
+
+
+def _giving_way(folder: Path, size: int) -> None:
+    """Write an arm whose masses are unknown, whose bearings tilt, and torques that say nothing of it."""
+    robot = load_robot(_UR10, "tool0")
+    n = max(size // 150, 63)
+    header, rows = _seen_by_tracker(robot, n)
+    torques = np.random.default_rng(1).normal(0.0, 20.0, (n, len(robot.readings)))
+    header += "".join(f",tau_{reading.name} [Nm]" for reading in robot.readings)
+    _table(folder / "loaded.csv", header, np.hstack([rows, torques]))
+    (folder / "calibration.toml").write_text(_GIVING_WAY.format(urdf=_UR10), encoding="utf-8")
+
+
+def _verified(folder: Path, size: int) -> None:
+    """Write rows to verify by, and a Gaussian process of a thousand rows in the folder of results."""
+    path = folder / _RESULTS / "model.json"
+    model = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(model | {"residual_model": "gaussian.npz"}), encoding="utf-8")
+    robot = load_robot(folder / "arm_cmm.urdf", "probe")
+    rng, names = np.random.default_rng(0), tuple((r.name, r.dimension) for r in robot.readings)
+    points, errors = rng.uniform(-2.0, 2.0, (1000, len(names))), rng.normal(0.0, 1e-4, (1000, 3))
+    none, kernel = np.zeros((0, 0)), Kernel(1e-4, np.full(len(names), 1.0), 5e-5)
+    numbers = tuple(range(len(names)))
+    process = GaussianResiduals(names, numbers, points, errors, "base", kernel, none, none)
+    (folder / _RESULTS / "gaussian.npz").write_bytes(gaussian_bytes(process))
+    _table(folder / "new.csv", *_seen_by_tracker(robot, max(size // 75, 10)))
+
+
 # Of results. -----------------------------------------------------------------------------------------------------
 
 
@@ -785,9 +962,6 @@ def _text(name: str, run: tuple[str, ...], piece: Callable[[int], str], head: st
         path.write_text(head + repeated(piece, size - len(head) - len(tail)) + tail, encoding="utf-8")
 
     return Hostile(write, run)
-
-
-_UR10 = "example:ur_description/urdf/ur10_robot.urdf"
 
 
 def _kinematics(piece: Callable[[int], str], head: str = "", tail: str = "") -> Hostile:
@@ -1105,18 +1279,17 @@ HOSTILE: dict[str, Hostile] = {
     "indicators": _rows(lambda k: f"t{k // 4},1", "target,indicated [mm]", _observed("indicator")),
     "held out groups": _rows(lambda k: f"g{k}", "group", (('sigma = "0.02 mm"', 'sigma = "0.02 mm"\nhold_out = 0.5'),)),
     "chosen terms": _rows(lambda _: "", "", (("[error_model]", '[error_model]\nterms = "auto"'),)),
-    "models of many rows": Hostile(_rows(lambda _: "", "").write, ("models", "calibration.toml")),
-    "a process of many rows": _rows(
-        lambda _: "",
-        "",
-        (
-            (
-                "[error_model]",
-                '[[levels]]\nname = "a"\nfree = ["*"]\n[[levels]]\nname = "b"\n'
-                'residual_model = { kind = "gaussian_process" }\n[error_model]',
-            ),
-        ),
-    ),
+    "models of many rows": Hostile(_rows(lambda _: "", "").write, _MODELS),
+    "models of many poses": Hostile(_different(), _MODELS),
+    "models of a parallelogram": Hostile(_parallelogram, _MODELS),
+    "models of two streams": Hostile(_two_streams, _MODELS),
+    "models of a torso": Hostile(_torso, _MODELS),
+    "many poses": Hostile(_different()),
+    "terms of many poses": Hostile(_different((("[error_model]", '[error_model]\nterms = "auto"'),))),
+    "bearings and torques": Hostile(_giving_way),
+    "a process of many rows": _rows(lambda _: "", "", (("[error_model]", _PROCESS),)),
+    "a process of noise": Hostile(_different((("[error_model]", _PROCESS),))),
+    "verified by a process": Hostile(_verified, ("verify", _RESULTS, "new.csv")),
     "columns of a table": Hostile(_wide),
     "lines without cells": Hostile(
         lambda folder, size: (folder / "identification.csv").write_text("a\n" * (size // 2), encoding="utf-8") and None

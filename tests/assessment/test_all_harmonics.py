@@ -122,6 +122,15 @@ def linear(rng: np.random.Generator) -> tuple[Known, Products, Array, Array, Arr
     return known, Products([(fold, rows)], 5, 0, 20, harmonics.reshape(-1, 2)), rows, fold, harmonics
 
 
+def test_widths_that_begin_elsewhere_end_at_the_same_place() -> None:
+    known, products, _, _, harmonics = linear(np.random.default_rng(1))
+    none = np.zeros(0, dtype=np.intp)
+    found = [Offer.of(known, harmonics, products, none, 8, begin) for begin in ((), (0.02, 1.0))]
+    assert found[0] is not None
+    assert found[1] is not None
+    np.testing.assert_allclose(found[1].start.widths, found[0].start.widths, rtol=1e-3)
+
+
 def test_without_a_fold_they_are_what_its_rows_left_out_would_find() -> None:
     known, products, rows, fold, harmonics = linear(np.random.default_rng(1))
     offer = Offer.of(known, harmonics, products, np.zeros(0, dtype=np.intp), 8)

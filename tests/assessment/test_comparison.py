@@ -166,13 +166,13 @@ def test_joint_terms_are_chosen_without_the_rows_they_are_judged_by(monkeypatch:
     data = measured(6, 30, placed=False)
     again = data.subset([*range(30), *range(10)])  # ten poses twice
     chose: list[list[int]] = []
-    choose_terms = comparison.choose_terms
+    choose_terms = comparison.choose_terms_like
 
-    def spied(model: calib.ErrorModel, sets: list[calib.Measurements], **options: object) -> object:
+    def spied(like: object, model: calib.ErrorModel, sets: list[calib.Measurements], **options: object) -> object:
         chose.append(sorted(sets[0].lines.tolist()))
-        return choose_terms(model, sets, offered=[], **options)
+        return choose_terms(like, model, sets, offered=[], **options)
 
-    monkeypatch.setattr(comparison, "choose_terms", spied)
+    monkeypatch.setattr(comparison, "choose_terms_like", spied)
     model = calib.error_model(machines.load(*UR10), offsets="all")
     compare_models({"with terms": model}, again, scheme=3, choose=["with terms"])
     everything = sorted(again.lines.tolist())
@@ -374,6 +374,14 @@ def test_progress_tells_every_fit_and_how_many_are_left() -> None:
     compare_models(models, data, scheme=2, progress=lambda text, left: told.append((text, left)))
     assert [left for _, left in told] == [6, 5, 4, 3, 2, 1]
     assert [text for text, _ in told[3:]] == ["offsets: all rows", "offsets: fold 1 of 2", "offsets: fold 2 of 2"]
+
+
+def test_of_very_many_rows_there_are_fewer_folds_where_nobody_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    data, models = measured(0, 40, placed=False), {"frames": calib.error_model(machines.load(*UR10))}
+    assert compare_models(models, data).folds == 10
+    monkeypatch.setattr(comparison, "_VERY_MANY_ROWS", 39)
+    assert compare_models(models, data).folds == 5
+    assert compare_models(models, data, scheme=10).folds == 10
 
 
 @pytest.mark.skipif(DATASETS is None, reason="CALIB_DATASETS does not name a folder of real measurements (ur10_leica)")

@@ -234,6 +234,25 @@ def test_a_search_that_takes_too_long_is_cut_short_and_says_so(monkeypatch: pyte
     assert max(apart(T, poses[found.reached])) < 1e-6
 
 
+def test_where_most_targets_are_not_reached_the_search_ends_sooner(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within their links' length, and too low for their orientation; as many that are reached are searched for on."""
+    model = model_of(robot_of("ur10"))
+    poses = model.robot.tips(well_posed(model, draw(model.robot, 40))[:30], model.deviations) @ TOOLS["tool"]
+    beyond = poses.copy()
+    beyond[:, :3, 3] *= 1.3 / np.linalg.norm(beyond[:, :3, 3], axis=1)[:, None]
+    looks: list[int] = []
+    spend = inverse.Effort.spend
+    monkeypatch.setattr(inverse.Effort, "spend", lambda effort, n: (looks.append(n), spend(effort, n))[1])
+    monkeypatch.setattr(inverse, "_BLOCK", 10)
+    monkeypatch.setattr(inverse, "_LOOKS_OF_HOPELESS", 100)
+    assert commands.for_poses(model, poses).reached.all()
+    looks.clear()
+    found = commands.for_poses(model, beyond)
+    assert sum(looks) < 1000
+    for reached, reason in zip(found.reached, found.reasons, strict=True):
+        assert reached or reason.endswith("give readings to start from, or fewer targets")
+
+
 def test_targets_that_come_later_keep_their_share_of_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     model = model_of(robot_of("ur10"))
     readings = well_posed(model, draw(model.robot, 40))[:20]

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import calib
+from calib.assessment import gaussian_choice
 from calib.assessment.gaussian_choice import bought, held_out_errors
 from calib.compensation import commands
 from calib.foundations import rigid
@@ -113,6 +114,31 @@ def test_errors_that_follow_no_joint_are_searched_no_longer_than_others(monkeypa
     assert len(looks) < 400
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_of_many_rows_a_hopeless_search_ends_and_no_other(share: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """``share`` of the errors' deviation follows the joints."""
+    rng, looks = np.random.default_rng(0), [0]
+    likely = gaussian._unlikely
+
+    def looked(*given: Any) -> tuple[float, Array]:
+        looks[0] += 1
+        return likely(*given)
+
+    monkeypatch.setattr(gaussian, "_unlikely", looked)
+    points = rng.uniform(-1.0, 1.0, (gaussian._MANY_ROWS, 2))
+    errors = 1e-4 * (share * np.sin(6.0 * points[:, :1]) + rng.normal(scale=1.0 - share, size=(len(points), 3)))
+    found = []
+    for hopeful in (gaussian._STEPS_TO_HOPE, 10_000):
+        monkeypatch.setattr(gaussian, "_STEPS_TO_HOPE", hopeful)
+        looks[0] = 0
+        found.append((gaussian.likeliest_kernel(points, errors), looks[0]))
+    (kernel, few), (closely, every) = found
+    if share:
+        assert (kernel.amplitude, kernel.noise, few) == (closely.amplitude, closely.noise, every)
+    else:
+        assert few < 0.75 * every
+
+
 def test_far_from_all_rows_it_fades_to_zero_and_says_so(known: GaussianResiduals) -> None:
     far = np.array([[60.0, 0.5, 60.0]])
     assert np.abs(known.at(far)).max() < 1e-3 * np.abs(known.at(ROWS)).max()
@@ -159,7 +185,9 @@ def test_named_joints_alone(known: GaussianResiduals) -> None:
 
 def test_held_out_rows_are_those_of_a_process_without_them(known: GaussianResiduals) -> None:
     fold = np.arange(len(ROWS)) % 4
-    left = held_out_errors(known.kernel, ROWS, ERRORS, fold)
+    left = held_out_errors(known.kernel, ROWS, ERRORS, fold, np.ones(len(ROWS), dtype=np.bool_))
+    some = np.isin(fold, (1, 3))
+    np.testing.assert_allclose(held_out_errors(known.kernel, ROWS, ERRORS, fold, some), left[some], atol=1e-12)
     for k in range(4):
         own = fold == k
         K = known.kernel.of_rows(ROWS[~own])
@@ -179,6 +207,17 @@ def test_white_noise_is_not_learnt(seed: int) -> None:
     rows, errors = draw(60, seed + 10), rng.normal(scale=1e-4, size=(60, 3))
     made = gaussian_from_residuals(rows, errors, READINGS)
     assert not bought(made, rows, errors, np.arange(60)).enters
+
+
+def test_of_very_many_rows_some_are_judged(known: GaussianResiduals, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In whatever order they come."""
+    monkeypatch.setattr(gaussian_choice, "MOST_JUDGED", len(ROWS) // 2)
+    group, order = np.arange(len(ROWS)) // 2, np.random.default_rng(1).permutation(len(ROWS))
+    gain = bought(known, ROWS, ERRORS, group)
+    again = bought(known, ROWS[order], ERRORS[order], group[order])
+    assert gain.enters
+    assert again.without.rms == pytest.approx(gain.without.rms, rel=1e-12)
+    assert gain.without.rms != np.sqrt(np.mean(np.sum(ERRORS**2, axis=1)))
 
 
 def test_visits_of_one_pose_do_not_praise_it() -> None:

@@ -9,6 +9,8 @@ import pytest
 import calib
 from calib.foundations import rigid
 from calib.foundations.errors import RobotError
+from calib.robot import gravity
+from calib.robot.conditions import Conditions
 from calib.robot.gravity import Holding, Payload
 from calib.robot.joint_terms import weights_of, with_joint_terms
 from calib.robot.load import load_robot
@@ -64,6 +66,21 @@ def placed(source: str, link: str, readings: dict[str, float]) -> Array:
         T = origin @ T
         link = joint.parent
     return T
+
+
+def test_torques_of_the_same_rows_are_made_once_and_those_of_another_load_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    holding = Holding(weights_of(load_robot(UR10, "tool0", gravity=DOWN)))
+    u = np.random.default_rng(0).uniform(-1.5, 1.5, (4, 6))
+    upwards = Conditions(gravity=np.tile(-np.array(DOWN), (4, 1)))
+    first = holding(u)
+    np.testing.assert_allclose(holding(u, upwards), -first, atol=1e-9)
+    assert holding(u.copy()) is first
+    assert holding(u[::-1]) is not first
+    monkeypatch.setattr(gravity, "_MOST_KEPT", 0)
+    assert holding(u + 1.0) is not first
+    assert holding(u) is not first
 
 
 @pytest.mark.parametrize(
