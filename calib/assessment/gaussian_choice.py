@@ -3,8 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky
-from scipy.linalg.lapack import dpotri
+import scipy
 
 from calib.assessment.validation import HeldOut, folds, held_out, one_standard_error
 from calib.foundations.arrays import Array, IntArray
@@ -54,8 +53,8 @@ def held_out_errors(kernel: Kernel, points: Array, errors: Array, fold: IntArray
     """
     with one_thread():
         # Each array is as large as all rows times all rows: where one is no longer needed, the next takes its place.
-        factor = cholesky(kernel.of_rows(points), lower=True, overwrite_a=True)
-        inverse, _ = dpotri(factor, lower=True, overwrite_c=True)
+        factor = scipy.linalg.cholesky(kernel.of_rows(points), lower=True, overwrite_a=True)
+        inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=True, overwrite_c=True)
         inverse += np.tril(inverse, -1).T
         weights = inverse @ errors
         left = np.empty_like(weights)

@@ -22,8 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from scipy.linalg import cho_factor
-from scipy.linalg.lapack import dpotri
 
 from calib.foundations.arrays import Array, BoolArray, IntArray
 
@@ -91,8 +89,8 @@ def likelihood(rows: NormalEquations, widths: Array, factors: Array) -> Likeliho
     gram = rows.known + np.tensordot(factors**-2.0, rows.grams, 1)
     H, b = gram[:p, :p].copy(), gram[:p, p]
     H[range(p), range(p)] += hold
-    lower = cho_factor(H, lower=True)
-    C = np.tril(dpotri(lower[0], lower=1)[0])
+    lower = scipy.linalg.cho_factor(H, lower=True)
+    C = np.tril(scipy.linalg.lapack.dpotri(lower[0], lower=1)[0])
     C += np.tril(C, -1).T
     x = np.append(-C @ b, 1.0)
     count = np.bincount(rows.group[own], minlength=len(widths))

@@ -55,7 +55,7 @@ def tool_uncertainty(
     told = conditions or ordinary(found)
     view = _View(machine.of(tool), tool, base, tool_pose)
     parts = []
-    with one_thread():
+    with one_thread(of_scipy=False):
         for start in range(0, len(found), _BLOCK):
             rows = slice(start, start + _BLOCK)
             parts.append(_of_block(view, known, found[rows], told.subset(rows)))
@@ -77,7 +77,7 @@ def tool_errors(
     found, known = _readings(machine, readings), machine.known_uncertainty
     told = conditions or ordinary(found)
     view = _View(machine.of(tool), tool, base=True, tool_pose=True)
-    with one_thread():
+    with one_thread(of_scipy=False):
         blocks = [slice(start, start + _BLOCK) for start in range(0, len(found), _BLOCK)]
         return np.concatenate([_errors(view, known, found[rows], told.subset(rows)) for rows in blocks])
 
@@ -260,7 +260,7 @@ def tool_motions(
         changes[layout.tools :] = 0.0
     told = conditions or ordinary(readings)
     found = np.empty((len(readings), 6, changes.shape[1]))
-    with one_thread():
+    with one_thread(of_scipy=False):
         for start in range(0, len(readings), _BLOCK):
             rows = slice(start, start + _BLOCK)
             own = told.subset(rows)
