@@ -141,8 +141,9 @@ class _View(NamedTuple):
                 rows = slice(start, start + _BLOCK)
                 own = conditions.subset(rows)
                 J = machine.tool_jacobian(readings[rows], tool=self.tool, conditions=own)
+                flat = J.reshape(-1, layout.size)  # one large product takes half the time of many small ones
                 for moved, columns in zip(found, changes, strict=True):
-                    moved[rows] = J @ columns
+                    moved[rows] = (flat @ columns).reshape(len(J), 6, -1)
         if not self.base:
             for moved in found:
                 moved[:, :3] = machine.base[:3, :3].T @ moved[:, :3]
