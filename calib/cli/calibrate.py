@@ -20,7 +20,8 @@ def calibrate(job: JobFile, out: OutFolder, telling: Telling = IN_WORDS) -> None
     1 bad input and nothing written, 2 wrong usage, 3 written, but not to be trusted.
     """
     with loading():
-        from calib.job.calibrate import STEPS_OF_LOADING, calibrated
+        from calib.job.calibrate import calibrated
+        from calib.job.inputs import STEPS_OF_LOADING
         from calib.presentation.console import short_report
         from calib.results.folder import result
     with telling.progress(STEPS_OF_LOADING) as say:
