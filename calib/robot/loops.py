@@ -243,7 +243,7 @@ def at_dead_centre(slope: Array) -> BoolArray:
     at most, none is small. The singular values decide about what remains.
     """
     largest = np.sqrt(np.einsum("nij,nij->n", slope, slope))
-    found = ~(np.abs(np.linalg.det(slope)) > 2.0 * _SINGULAR * largest ** (slope.shape[1] - 1))
+    found = np.asarray(~(np.abs(np.linalg.det(slope)) > 2.0 * _SINGULAR * largest ** (slope.shape[1] - 1)))
     if found.any():
         found[found] = np.linalg.svd(slope[found], compute_uv=False)[:, -1] < _SINGULAR
     return found

@@ -5,6 +5,7 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from importlib import metadata
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
 
@@ -48,8 +49,6 @@ def examples() -> tuple[str, ...]:
 
 def examples_folder() -> Path:
     """Return the folder ``robots`` of example-robot-data, or raise RobotError when it is not installed."""
-    from importlib import metadata  # noqa: PLC0415 - slow to load, and for examples alone
-
     # The wheel keeps its data under a cmeel prefix and, since version 6, has no Python module to ask; conda and
     # system packages put the same folder under the interpreter's own prefix.
     candidates = [Path(sys.prefix) / _FOLDER]
