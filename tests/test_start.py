@@ -34,7 +34,7 @@ def start(code: str, *arguments: str, options: tuple[str, ...] = ("-W", "error")
     return done.returncode, done.stdout, done.stderr
 
 
-@pytest.mark.parametrize("module", ["calib", "numpy", "pinocchio", "scipy.spatial.transform", "calib.cli.export"])
+@pytest.mark.parametrize("module", ["calib", "numpy", "pinocchio", "pydantic", "calib.cli.export"])
 def test_interrupted_while_it_is_loaded(module: str) -> None:
     done = start(TERMINAL + AT_IMPORT.format(module=module) + MAIN, "check", "nothing.toml")
     assert done == (130, "", "Error: interrupted.\n")
@@ -84,6 +84,38 @@ def test_what_cannot_be_imported_elsewhere_is_a_bug_and_shown() -> None:
     code, out, err = start("import sys; sys.modules['scipy'] = None\n" + MAIN, "check", "nothing.toml")
     assert (code, out) == (1, "")
     assert "Traceback" in err
+
+
+LOADED = """
+import atexit, sys
+from calib_start import main
+def loaded():
+    parts = ("scipy.linalg", "scipy.special", "scipy.sparse", "scipy.spatial", "scipy.interpolate")
+    ours = ("calib.job.run", "calib.results.folder", "calib.assessment.acceptance", "calib.presentation.scene")
+    print([name for name in (*parts, *ours, "logging") if name in sys.modules])
+atexit.register(loaded)
+sys.argv[0] = "calib"
+main()
+"""
+
+
+@pytest.fixture(scope="module")
+def folder_of_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The shipped case with its results."""
+    folder = tmp_path_factory.mktemp("case")
+    job = copy_case(folder)
+    assert start(MAIN, "calibrate", str(job), "-o", str(folder / "out"))[0] == 0
+    return folder
+
+
+@pytest.mark.parametrize("command", ["uncertainty out --samples 10", "sensitivity {job}", "check {job}"])
+def test_commands_that_solve_nothing_wait_for_no_scipy(folder_of_results: Path, command: str) -> None:
+    arguments = command.format(job=JOB).split()
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED, *arguments], cwd=folder_of_results, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-1] == "[]"
 
 
 WARNING = """

@@ -19,8 +19,8 @@ with loading():
     from calib.foundations.errors import CalibError, JobError, OutputError
     from calib.foundations.files import read_bytes, sentences, write_atomically
     from calib.foundations.words import shown
-    from calib.job.calibrate import STEPS_OF_LOADING, calibrated
-    from calib.job.inputs import load
+    from calib.job.calibrate import calibrated
+    from calib.job.inputs import STEPS_OF_LOADING, load
     from calib.job.looking import NO_FINDINGS, looked_at
     from calib.job.photographs import import_photographs
     from calib.job.proposal import Proposal

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+import scipy
 
 from calib.assessment.metrics import Metrics, metrics
 from calib.foundations import rigid
@@ -275,10 +275,12 @@ def _less_residual_errors(machine: CalibratedMachine, data: Measurements, sigma:
     for start in range(0, len(data), _TOGETHER):
         rows = np.arange(start, min(start + _TOGETHER, len(data)))
         G = (residual_errors(machine, data.subset(rows)) / sigma[rows, :, None]).reshape(d * len(rows), -1)
-        factors.append((slice(d * start, d * start + len(G)), cholesky(np.eye(len(G)) + G @ G.T, lower=True)))
+        factors.append(
+            (slice(d * start, d * start + len(G)), scipy.linalg.cholesky(np.eye(len(G)) + G @ G.T, lower=True))
+        )
 
     def less(x: Array) -> Array:
-        return np.concatenate([solve_triangular(factor, x[rows], lower=True) for rows, factor in factors])
+        return np.concatenate([scipy.linalg.solve_triangular(factor, x[rows], lower=True) for rows, factor in factors])
 
     return less
 

@@ -22,7 +22,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy
 
 from calib.assessment.all_harmonics import AllHarmonics, Known, Offer, better
 from calib.assessment.entering import Blocks, Products, filled
@@ -674,7 +674,9 @@ class _System:
             order.append(best)
             enter(new)
         # They are triangular: the solution after so many steps is the sum of as many columns of the inverse.
-        inverse = solve_triangular(solved[: len(entered), entered], np.eye(len(entered)), unit_diagonal=True)
+        inverse = scipy.linalg.solve_triangular(
+            solved[: len(entered), entered], np.eye(len(entered)), unit_diagonal=True
+        )
         sums = np.cumsum(inverse * -solved[: len(entered), p], axis=1)
         values = np.zeros((1 + len(order), p))
         values[:, entered] = sums[:, np.array(ends[1:]) - 1].T

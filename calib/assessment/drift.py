@@ -252,6 +252,6 @@ def _at_tip(old: CalibratedMachine, new: CalibratedMachine, readings: Array, too
     rows = TipObservations(
         tips[0], target, np.full((len(readings), 3, 3), np.nan), np.zeros(len(readings), dtype=np.intp)
     )
-    with one_thread():
+    with one_thread(of_scipy=False):
         base, tools, _ = base_and_tools(rows, KnownFrames(None, None, guess[:, :3, :3]), guess)
     return np.asarray(np.linalg.norm((base @ tips[0] @ tools[0])[:, :3, 3] - target, axis=1))

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
+import scipy
 
 from calib.assessment.effects import memory
 from calib.assessment.judged import JudgedSet
@@ -26,7 +26,7 @@ class Gain(NamedTuple):
 
     def needed(self, probability: float) -> float:
         """Return the t that chance stays below with a probability."""
-        return float(stdtrit(self.freedom, probability)) if self.freedom > 0 else float("inf")
+        return float(scipy.special.stdtrit(self.freedom, probability)) if self.freedom > 0 else float("inf")
 
 
 def gain(judged: Sequence[JudgedSet], quantity: str) -> Gain:

@@ -3,8 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
-from scipy.linalg.lapack import dpotri
+import scipy
 
 from calib.assessment.validation import HeldOut, folds, held_out, one_standard_error
 from calib.foundations.arrays import Array, BoolArray, IntArray
@@ -66,9 +65,9 @@ def held_out_errors(kernel: Kernel, points: Array, errors: Array, fold: IntArray
     points, errors, fold, first = points[order], errors[order], fold[order], int(np.count_nonzero(~judged))
     with one_thread():
         # Each array is as large as all rows times all rows: where one is no longer needed, the next takes its place.
-        factor = cholesky(kernel.of_rows(points), lower=True, overwrite_a=True)
-        weights = cho_solve((factor, True), errors)[first:]
-        inverse, _ = dpotri(factor[first:, first:], lower=True)
+        factor = scipy.linalg.cholesky(kernel.of_rows(points), lower=True, overwrite_a=True)
+        weights = scipy.linalg.cho_solve((factor, True), errors)[first:]
+        inverse, _ = scipy.linalg.lapack.dpotri(factor[first:, first:], lower=True)
         inverse += np.tril(inverse, -1).T
         left, own_fold = np.empty_like(weights), fold[first:]
         for k in np.unique(own_fold):

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial.distance import pdist
+import scipy
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
@@ -72,7 +72,7 @@ def orientation_repeatability(turns: Array) -> Array:
 
 def multidirectional_variation(by_direction: Sequence[Array]) -> float:
     """Return vAP_P = max |xbar_h - xbar_k| in m over pairs of directions; attained positions (n, 3) of each."""
-    return float(pdist(np.array([attained.mean(axis=0) for attained in by_direction])).max())
+    return float(scipy.spatial.distance.pdist(np.array([attained.mean(axis=0) for attained in by_direction])).max())
 
 
 def distance_accuracy(first: Array, second: Array, commanded: float) -> float:

@@ -106,7 +106,7 @@ def plan(
     candidates = model.urdf_robot.own(candidates)
     _refuse_few(count, candidates)
     working = candidates if how.working is None else how.working
-    with one_thread():
+    with one_thread(of_scipy=False):
         return planned(
             candidates,
             rows(model, how, candidates),

@@ -16,9 +16,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
@@ -81,7 +79,7 @@ def row_groups(measurements: Sequence[Measurements], *, places: bool = False) ->
     poses = np.concatenate([_poses(data, k) for k, data in enumerate(measurements)])
     cells, cell = np.unique(poses, axis=0, return_inverse=True)
     cell = cell.reshape(-1)
-    near = cKDTree(cells).query_pairs(1.0, p=np.inf, output_type="ndarray")
+    near = scipy.spatial.cKDTree(cells).query_pairs(1.0, p=np.inf, output_type="ndarray")
     first: dict[tuple[str, str], int] = {}
     said = [
         (first.setdefault((what, word), int(c)), int(c))
@@ -90,8 +88,8 @@ def row_groups(measurements: Sequence[Measurements], *, places: bool = False) ->
         if word is not None
     ]
     pairs = np.concatenate([near, np.array(said, dtype=np.intp).reshape(-1, 2)])
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
-    _, component = connected_components(links, directed=False)
+    links = scipy.sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
+    _, component = scipy.sparse.csgraph.connected_components(links, directed=False)
     # Cells are sorted, and a component is numbered by its first one.
     _, order = np.unique(component, return_index=True)
     rank = np.empty(len(order), dtype=np.intp)
@@ -225,10 +223,10 @@ def neighbourhoods(measurements: Sequence[Measurements], group: IntArray, count:
     if len(centres) <= count:
         return Neighbourhoods(group, apart=False)
     part = _parts(centres, count)
-    usual = np.median(np.asarray(cKDTree(centres).query(centres, k=2)[0])[:, 1])
-    trees = [cKDTree(centres[part == k]) for k in range(part.max() + 1)]
+    usual = np.median(np.asarray(scipy.spatial.cKDTree(centres).query(centres, k=2)[0])[:, 1])
+    trees = [scipy.spatial.cKDTree(centres[part == k]) for k in range(part.max() + 1)]
     touching = [[np.min(a.query(b.data)[0]) <= _APART * usual for a in trees] for b in trees]
-    places, place = connected_components(np.array(touching), directed=False)
+    places, place = scipy.sparse.csgraph.connected_components(np.array(touching), directed=False)
     apart = bool(places >= _FEWEST_PLACES)
     return Neighbourhoods(np.asarray((place[part] if apart else part)[group], dtype=np.intp), apart)
 
@@ -259,13 +257,13 @@ def _parts(points: Array, count: int) -> IntArray:
     """
     rng, centres = np.random.default_rng(0), points[:1]
     while len(centres) < count:
-        far = np.asarray(cKDTree(centres).query(points)[0]) ** 2
+        far = np.asarray(scipy.spatial.cKDTree(centres).query(points)[0]) ** 2
         if not far.any():
             break
         centres = np.concatenate([centres, points[rng.choice(len(points), 1, p=far / far.sum())]])
     part = np.zeros(len(points), dtype=np.intp)
     for _ in range(_ROUNDS):
-        part = np.unique(cKDTree(centres).query(points)[1], return_inverse=True)[1]
+        part = np.unique(scipy.spatial.cKDTree(centres).query(points)[1], return_inverse=True)[1]
         sizes = np.bincount(part)
         centres = np.column_stack([np.bincount(part, weights=column) for column in points.T]) / sizes[:, None]
     return np.asarray(part, dtype=np.intp)

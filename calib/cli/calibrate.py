@@ -20,7 +20,12 @@ def calibrate(job: JobFile, out: OutFolder, telling: Telling = IN_WORDS) -> None
     1 bad input and nothing written, 2 wrong usage, 3 written, but not to be trusted.
     """
     with loading():
-        from calib.job.calibrate import STEPS_OF_LOADING, calibrated
+        import scipy.linalg  # with all else that is loaded, as every fit asks for it
+        import scipy.sparse.csgraph
+        import scipy.special  # noqa: F401
+
+        from calib.job.calibrate import calibrated
+        from calib.job.inputs import STEPS_OF_LOADING
         from calib.presentation.console import short_report
         from calib.results.folder import result
     with telling.progress(STEPS_OF_LOADING) as say:

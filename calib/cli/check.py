@@ -51,8 +51,7 @@ def check(
 
 def _check_job(job: Path, telling: Telling, *, every: bool) -> None:
     with loading():
-        from calib.job.calibrate import STEPS_OF_LOADING
-        from calib.job.inputs import load
+        from calib.job.inputs import STEPS_OF_LOADING, load
         from calib.job.looking import looked_at
     with telling.progress(STEPS_OF_LOADING + 1) as say:
         looked = looked_at(load(job, say), say, every=every)
@@ -61,7 +60,7 @@ def _check_job(job: Path, telling: Telling, *, every: bool) -> None:
 
 def _check_files(urdf: str, tables: list[Path], given: dict[str, object], telling: Telling, *, every: bool) -> None:
     with loading():
-        from calib.job.calibrate import STEPS_OF_LOADING
+        from calib.job.inputs import STEPS_OF_LOADING
         from calib.job.looking import loaded, looked_at
     found = proposed(urdf, tables, given, ask=False)
     with telling.progress(STEPS_OF_LOADING + 1) as say:

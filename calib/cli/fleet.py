@@ -1,6 +1,5 @@
 """``calib fleet``: many jobs at once."""
 
-import logging
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +29,8 @@ def fleet(
     same command continues. Exit codes: 0 good, 1 a job failed, 2 wrong usage, 3 a job is not to be trusted.
     """
     with loading():
+        import logging
+
         from calib.foundations.folders import made_folder
         from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, run_fleet
         from calib.job.fleet_summary import fleet_lines, summary, write_summary

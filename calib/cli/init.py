@@ -33,7 +33,7 @@ def init(
     """
     with loading():
         from calib.foundations.files import refuse_taken, write_new
-        from calib.job.calibrate import STEPS_OF_LOADING
+        from calib.job.inputs import STEPS_OF_LOADING
         from calib.job.looking import loaded, looked_at
     refuse_taken(output)
     if xacro:

@@ -36,8 +36,7 @@ def models(
     with loading():
         from calib.assessment.comparison import OWN, TERMS, compare_models, nested_models
         from calib.foundations.errors import IdentificationError, JobError, MeasurementError, naming
-        from calib.job.calibrate import STEPS_OF_LOADING
-        from calib.job.inputs import load
+        from calib.job.inputs import STEPS_OF_LOADING, load
         from calib.presentation.command_tables import comparison_sentences, comparison_sheet
         from calib.presentation.console import warning
     if folds is not None and leave_one_group_out:

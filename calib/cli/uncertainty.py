@@ -34,8 +34,8 @@ def uncertainty(
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import outside_identified, uncertainty_map
         from calib.machine.uncertainty import rms_by_cause
-        from calib.presentation.acceptance_tables import map_csv, map_sheet
         from calib.presentation.console import warning
+        from calib.presentation.map_tables import map_csv, map_sheet
         from calib.presentation.sheets import budget_sheet
     refuse_taken(out)
     with telling.progress(steps=1) as say:

@@ -220,7 +220,7 @@ def solve(model: CalibratedMachine, asked: Asked, how: How, effort: Effort | Non
             f"the tolerances are {tolerances[0]:g} and {tolerances[1]:g}; allowed are positive numbers up to "
             f"{_LARGEST_TOLERANCE:g} (m and rad)."
         )
-    with one_thread():
+    with one_thread(of_scipy=False):
         rows = np.array_split(np.arange(len(asked.start)), max(1, -(-len(asked.start) // _BLOCK)))
         blocks = []
         for block in rows:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import chdtrc, fdtrc, fdtri, gammaincinv, gammaln
+import scipy
 
 from calib.foundations.arrays import Array, IntArray
 
@@ -22,21 +22,23 @@ def exceeded(square: npt.ArrayLike, numbers: IntArray | int, freedom: npt.ArrayL
     """
     square = np.maximum(square, 0.0)  # rounding
     known = np.isinf(freedom)
-    by_estimate = fdtrc(numbers, np.where(known, 1.0, freedom), square / numbers)
-    return np.asarray(np.where(known, chdtrc(numbers, square), by_estimate))
+    by_estimate = scipy.special.fdtrc(numbers, np.where(known, 1.0, freedom), square / numbers)
+    return np.asarray(np.where(known, scipy.special.chdtrc(numbers, square), by_estimate))
 
 
 def bound(probability: float, numbers: int, freedom: float = np.inf) -> float:
     """Return the sum of squares that so many normal numbers stay below with a probability; else as :func:`exceeded`."""
     if np.isinf(freedom):
-        return 2.0 * float(gammaincinv(0.5 * numbers, probability))
-    return numbers * float(fdtri(numbers, freedom, probability))
+        return 2.0 * float(scipy.special.gammaincinv(0.5 * numbers, probability))
+    return numbers * float(scipy.special.fdtri(numbers, freedom, probability))
 
 
 def density(square: float, numbers: int) -> float:
     """Return the density of the sum of squares of so many normal numbers."""
     half = 0.5 * numbers
-    return float(np.exp((half - 1.0) * np.log(square) - 0.5 * square - gammaln(half) - half * np.log(2.0)))
+    return float(
+        np.exp((half - 1.0) * np.log(square) - 0.5 * square - scipy.special.gammaln(half) - half * np.log(2.0))
+    )
 
 
 def shown_noise(residuals: Array, spare: int, stated: float | None) -> float:

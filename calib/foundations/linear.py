@@ -1,17 +1,16 @@
 """Linear algebra that more than one room needs."""
 
+import functools
+import sys
 from contextlib import AbstractContextManager
+from importlib import import_module
 from typing import Any, cast
 
 import numpy as np
-import scipy.linalg
-from scipy.linalg.lapack import dtpqrt, dtrcon, dtrtri
+import scipy
 from threadpoolctl import ThreadpoolController
 
 from calib.foundations.arrays import Array
-
-# NumPy's and SciPy's, found once: to look through all that a process has loaded takes as long as half a fit.
-_LIBRARIES = ThreadpoolController()
 
 # A condition estimated in sums of columns is off by at most the number of columns, and by little else.
 _SURELY = 100.0
@@ -24,7 +23,7 @@ def triangle(M: Array) -> Array:
     m, n = M.shape[-2:]
     if M.ndim == 2 and _MANY <= n < m <= 2 * n and not np.tril(M[:n], -1).any() and not np.tril(M[n:], -1).any():
         # A triangle on another takes a fifth of the time.
-        return np.triu(dtpqrt(m - n, _TOGETHER, M[:n], M[n:])[0])
+        return np.triu(scipy.linalg.lapack.dtpqrt(m - n, _TOGETHER, M[:n], M[n:])[0])
     return cast(Array, cast(Any, np.linalg.qr)(M, mode="r"))
 
 
@@ -43,9 +42,9 @@ def inverse_triangle(rows: Array, tolerance: float) -> tuple[Array, Array] | Non
     if len(rows) < c or c == 0:
         return None
     R = rows[:c, :c]
-    if not np.all(np.diag(R)) or dtrcon(R)[0] < _SURELY * c * tolerance:
+    if not np.all(np.diag(R)) or scipy.linalg.lapack.dtrcon(R)[0] < _SURELY * c * tolerance:
         return None
-    inverse = np.triu(dtrtri(R)[0])
+    inverse = np.triu(scipy.linalg.lapack.dtrtri(R)[0])
     return inverse, -inverse @ rows[:c, c]
 
 
@@ -63,9 +62,19 @@ def svd(M: Array, *, full_matrices: bool = True) -> tuple[Array, Array, Array]:
         return U, s, Vt
 
 
-def one_thread() -> AbstractContextManager[object]:
+def one_thread(*, of_scipy: bool = True) -> AbstractContextManager[object]:
     """Return a context in which linear algebra runs in one thread.
 
     Our matrices are small: a second thread gains nothing, and waits a hundred times longer where a core is shared.
+    ``of_scipy``: that of SciPy, too, which is loaded for it. False where the block calls NumPy alone.
     """
-    return cast(AbstractContextManager[object], _LIBRARIES.limit(limits=1, user_api="blas"))
+    if of_scipy:
+        import_module("scipy.linalg")  # which has threads of its own
+    libraries = _libraries("scipy.linalg" in sys.modules)
+    return cast(AbstractContextManager[object], libraries.limit(limits=1, user_api="blas"))
+
+
+@functools.cache
+def _libraries(_of_scipy: bool) -> ThreadpoolController:
+    """Return NumPy's and SciPy's, found once: to look through all that is loaded takes as long as half a fit."""
+    return ThreadpoolController()

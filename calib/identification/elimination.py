@@ -13,8 +13,7 @@ from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from calib.foundations.arrays import BoolArray, IntArray
 from calib.identification.arrow import Split
@@ -165,7 +164,7 @@ class _Incidence(NamedTuple):
     ``width`` (t,): how many unknowns things have. ``free`` (t,): which may be eliminated. ``family`` (t,): of each.
     """
 
-    about: csr_array
+    about: "scipy.sparse.csr_array"
     width: IntArray
     free: BoolArray
     family: IntArray
@@ -180,7 +179,7 @@ class _Incidence(NamedTuple):
             columns.append(different[row, column])
             start += len(different)
         row, column = np.concatenate(rows), np.concatenate(columns)
-        about = csr_array((np.ones(len(row)), (row, column)), shape=(start, things.number))
+        about = scipy.sparse.csr_array((np.ones(len(row)), (row, column)), shape=(start, things.number))
         family = np.searchsorted(things.ends, np.arange(things.number), side="right")
         return cls(about, width, free, family)
 
@@ -200,8 +199,8 @@ class _Incidence(NamedTuple):
         u, t = self.about.shape
         row, column = self.about.nonzero()
         kept = left[column]
-        graph = csr_array((np.ones(int(kept.sum())), (row[kept], u + column[kept])), shape=(u + t, u + t))
-        return np.asarray(connected_components(graph, directed=False)[1][u:], dtype=np.intp)
+        graph = scipy.sparse.csr_array((np.ones(int(kept.sum())), (row[kept], u + column[kept])), shape=(u + t, u + t))
+        return np.asarray(scipy.sparse.csgraph.connected_components(graph, directed=False)[1][u:], dtype=np.intp)
 
     def _hubs(self, over: BoolArray) -> BoolArray:
         """Return which (t,) of some things stay common: of the family with the fewest unknowns, what many are about."""

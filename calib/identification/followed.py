@@ -28,7 +28,7 @@ def followed(tips: Array, position: Array) -> Followed:
     """
     n = len(tips)
     nothing = np.full((n, 3, 3), np.nan)
-    with linear.one_thread():
+    with linear.one_thread(of_scipy=False):
         found = base_and_tools(
             TipObservations(tips, position, nothing, np.zeros(n, dtype=np.intp)),
             KnownFrames(None, None, None),

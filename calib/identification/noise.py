@@ -8,7 +8,7 @@ set of measurements) by restricted maximum likelihood, so that the parameters th
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
+import scipy
 
 from calib.foundations.arrays import Array
 
@@ -70,7 +70,7 @@ def model_variance(residuals: Array, instrument: Array, degrees_of_freedom: floa
     with np.errstate(divide="ignore", invalid="ignore"):
         at_zero = np.nansum(squares / variances)
     # Far below one degree of freedom nearly all of chi-square is at zero, and its quantile less than its mean.
-    if at_zero <= (chdtri(max(degrees_of_freedom, 1.0), RARELY) if clearly else degrees_of_freedom):
+    if at_zero <= (scipy.special.chdtri(max(degrees_of_freedom, 1.0), RARELY) if clearly else degrees_of_freedom):
         return 0.0
     # The unknown is u = v / mean. 1 / sum grows with u and bends down, so that Newton's steps from below stay below.
     squares, variances, u = squares / mean, variances / mean, 0.0 if np.isfinite(at_zero) else _LAST_STEP

@@ -106,7 +106,7 @@ def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple
     typical mistake explains it. Too few rows to judge give nothing. Raises MeasurementError when the measurements are
     not of this robot.
     """
-    with linear.one_thread():
+    with linear.one_thread(of_scipy=False):
         placed = [data for data in measurements if len(data) and data.position is not None and data.points is None]
         # Without an instrument the readings alone can be wrong, and what stays in place shows that they are.
         touched = [data for data in measurements if len(data) and data.position is None and data.camera is None]

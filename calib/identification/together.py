@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from scipy.special import chdtri
 
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
@@ -227,7 +226,7 @@ def _widths(heads: _Heads, known: Arrow) -> tuple[float, float, float, float] | 
         bounds=[(-limit, limit)] * 2,
         options={"maxiter": _MOST_STEPS, "ftol": _SAME, "gtol": _LEVEL},
     )
-    if criterion(np.array([-30.0, -30.0]))[0] - float(best.fun) < float(chdtri(2.0, _RARELY)):
+    if criterion(np.array([-30.0, -30.0]))[0] - float(best.fun) < float(scipy.special.chdtri(2.0, _RARELY)):
         return None
     a, b = _sizes(best.x)
     if a > _MOST_LENGTH or b > _MOST_ANGLE:

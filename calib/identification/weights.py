@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import chdtr
+import scipy
 
 from calib.foundations.arrays import Array
 from calib.identification import losses
@@ -106,7 +106,9 @@ def scatter(problem: LeastSquares, r: Sequence[Array], sigmas: Sequence[Array], 
     for c in problem.components:
         sigma = sigmas[c.measurements][:, c.columns]
         squares += float(np.sum((np.maximum(np.abs(r[c.measurements][:, c.columns]), _rounding(c)) / sigma) ** 2))
-    return float(np.sqrt(squares / freedom)) if freedom > 0.0 and chdtr(freedom, squares) < RARELY else 1.0
+    return (
+        float(np.sqrt(squares / freedom)) if freedom > 0.0 and scipy.special.chdtr(freedom, squares) < RARELY else 1.0
+    )
 
 
 def factors_of(problem: LeastSquares, old: Sequence[Array], new: Sequence[Array]) -> tuple[Array, bool]:

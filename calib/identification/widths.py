@@ -22,8 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from scipy.linalg import cho_solve, cholesky
-from scipy.linalg.lapack import dpotri
 
 from calib.foundations.arrays import Array, BoolArray, IntArray
 
@@ -91,11 +89,11 @@ def likelihood(rows: NormalEquations, widths: Array, factors: Array) -> Likeliho
     gram = rows.known + np.tensordot(factors**-2.0, rows.grams, 1)
     H, b = gram[:p, :p].copy(), gram[:p, p]
     H[range(p), range(p)] += hold
-    lower = cholesky(H, lower=True)
+    lower = scipy.linalg.cholesky(H, lower=True)
     # The lower triangle of the covariance, by rows of its transpose; more of it is not needed, and takes longer.
-    C = dpotri(lower, lower=1)[0].T
+    C = scipy.linalg.lapack.dpotri(lower, lower=1)[0].T
     diagonal = np.diag(C)
-    x = np.append(-cho_solve((lower, True), b), 1.0)
+    x = np.append(-scipy.linalg.cho_solve((lower, True), b), 1.0)
     count = np.bincount(rows.group[own], minlength=len(widths))
 
     def sums(values: Array) -> Array:

@@ -12,8 +12,6 @@ from calib.presentation.report.document import Report
 from calib.results.calibration import Calibration
 from calib.results.folder import STEPS_OF_WRITING, refuse_folder, write_results
 
-STEPS_OF_LOADING = 3
-
 
 @checked
 def calibrate(

@@ -20,6 +20,9 @@ from calib.robot.robot import Robot
 if TYPE_CHECKING:
     from calib.identification.optics_choice import OpticsChoice
 
+# How often :func:`load` tells of its progress.
+STEPS_OF_LOADING = 3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:

@@ -15,9 +15,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy
-from scipy.linalg import cho_solve, cholesky, solve_triangular
-from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
-from scipy.spatial.distance import cdist
 
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
@@ -70,7 +67,7 @@ class Kernel(NamedTuple):
 
     def between(self, a: Array, b: Array) -> Array:
         """Return the covariances (N, M) in m^2, without noise, of an error component at points (N, k) and (M, k)."""
-        d = cdist(a / self.scales, b / self.scales)
+        d = scipy.spatial.distance.cdist(a / self.scales, b / self.scales)
         d *= np.sqrt(3.0)
         # In place, as of 5000 rows each of these takes 200 MB.
         fading = np.negative(d)
@@ -120,7 +117,10 @@ class GaussianResiduals:
         """Return the standard deviation (N) in m of each component of :meth:`at` from the true error, without noise."""
         prior = self.kernel.amplitude**2
         known = [
-            np.sum(solve_triangular(self.factor, self.kernel.between(self.points, points), lower=True) ** 2, axis=0)
+            np.sum(
+                scipy.linalg.solve_triangular(self.factor, self.kernel.between(self.points, points), lower=True) ** 2,
+                axis=0,
+            )
             for points in self._blocks(readings)
         ]
         return np.sqrt(np.maximum(prior - np.concatenate([np.zeros(0), *known]), 0.0))
@@ -151,7 +151,7 @@ class GaussianResiduals:
     def own_errors(self, readings: Array, noise: float) -> Array:  # noqa: ARG002 - it has found its own
         """Return a factor (N, N) of the covariance of the true errors given the rows, whose diagonal is of sigma."""
         points = np.asarray(readings, dtype=np.float64)[:, list(self.joints)]
-        known = solve_triangular(self.factor, self.kernel.between(self.points, points), lower=True)
+        known = scipy.linalg.solve_triangular(self.factor, self.kernel.between(self.points, points), lower=True)
         values, vectors = np.linalg.eigh(self.kernel.between(points, points) - known.T @ known)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
@@ -256,14 +256,14 @@ def _unlikely(logarithms: Array, points: Array, errors: Array) -> tuple[float, A
     """
     variance, *scales, noise = np.exp(logarithms)
     x = (points - points.mean(axis=0)) / scales
-    d = np.sqrt(3.0) * cdist(x, x)
+    d = np.sqrt(3.0) * scipy.spatial.distance.cdist(x, x)
     fading = variance * np.exp(-d)
     covariance = fading * (1.0 + d)
-    factor, fails = dpotrf(covariance + noise * np.eye(len(x)), lower=True)
+    factor, fails = scipy.linalg.lapack.dpotrf(covariance + noise * np.eye(len(x)), lower=True)
     if fails:
         return np.inf, np.zeros_like(logarithms)
-    weights, _ = dpotrs(factor, errors, lower=True)
-    inverse, _ = dpotri(factor, lower=True)
+    weights, _ = scipy.linalg.lapack.dpotrs(factor, errors, lower=True)
+    inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=True)
     inverse = np.tril(inverse) + np.tril(inverse, -1).T
     logs = float(np.sum(np.log(np.diag(factor)))) + 0.5 * len(x) * np.log(2.0 * np.pi)
     value = 0.5 * float(np.sum(errors * weights)) + errors.shape[1] * logs
@@ -283,8 +283,8 @@ def _trained(
     kernel: Kernel,
 ) -> GaussianResiduals:
     """Return the process conditioned on all rows. Raises LinAlgError where rounding makes their covariance singular."""
-    factor = cholesky(kernel.of_rows(points), lower=True)
-    weights = cho_solve((factor, True), errors)
+    factor = scipy.linalg.cholesky(kernel.of_rows(points), lower=True)
+    weights = scipy.linalg.cho_solve((factor, True), errors)
     return GaussianResiduals(
         readings, joints, read_only(points), read_only(errors), frame, kernel, read_only(factor), read_only(weights)
     )

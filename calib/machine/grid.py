@@ -74,7 +74,7 @@ class SectorGrid:
         nearest edge, and nearest nodes stand for missing ones.
         """
         inside = self._clipped(readings)
-        values = np.asarray(_multilinear(self.axes, self.errors, inside))
+        values = self._multilinear(self.errors, inside)
         return values if clamp else np.where(self._covered(readings)[:, None], values, np.nan)
 
     def shifts(self, base: Array, tips: Array, readings: Array) -> Array:
@@ -87,9 +87,8 @@ class SectorGrid:
 
     def leaning(self, readings: Array) -> Leaning:
         """Return the corners of each cell and their weights; none in rows where the grid has no values."""
-        N, corners = len(readings), np.array(list(itertools.product((0, 1), repeat=len(self.axes))))
-        lower, place = self._cells(self._clipped(readings))
-        weights = np.prod(np.where(corners, place[:, None], 1.0 - place[:, None]), axis=2)
+        N = len(readings)
+        corners, lower, weights = self._cells(self._clipped(readings))
         weights = np.where(self._covered(readings)[:, None] & (weights > _ROUNDING), weights, 0.0)
         at = np.broadcast_to(self.reference, (N, len(corners), len(self.reference))).copy()
         for k, (j, axis) in enumerate(zip(self.joints, self.axes, strict=True)):
@@ -123,7 +122,7 @@ class SectorGrid:
                 name, dimension = self.readings[j]
                 low, high = (_said(value, dimension) for value in (axis[0], axis[-1]))
                 return f"{name} at {_said(row[j], dimension)} is outside the grid, from {low} to {high}"
-        lower, _ = self._cells(self._clipped(row[None]))
+        _, lower, _ = self._cells(self._clipped(row[None]))
         cell = ", ".join(
             f"{self.readings[j][0]} {_said(axis[i], self.readings[j][1])} to {_said(axis[i + 1], self.readings[j][1])}"
             for j, axis, i in zip(self.joints, self.axes, lower[0], strict=True)
@@ -138,12 +137,26 @@ class SectorGrid:
         inside = np.all([_within(readings[:, j], axis) for j, axis in zip(self.joints, self.axes, strict=True)], axis=0)
         if not self.measured.all():
             # A missing node counts only where it has weight: the faces of a whole cell belong to it.
-            missing = _multilinear(self.axes, (~self.measured).astype(np.float64), self._clipped(readings))
+            missing = self._multilinear((~self.measured).astype(np.float64), self._clipped(readings))
             inside &= missing <= _ROUNDING
         return np.asarray(inside)
 
-    def _cells(self, points: Array) -> tuple[IntArray, Array]:
-        """Return the cells (N, k) of N points by their lower corners, and the places (N, k) in them, from 0 to 1."""
+    def _multilinear(self, values: Array, points: Array) -> Array:
+        """Return what has ``values`` at the nodes at N points within the grid, as SciPy's RegularGridInterpolator does.
+
+        Without SciPy's interpolation, which takes as long to load as all else of ``calib uncertainty``.
+        """
+        corners, lower, weights = self._cells(points)
+        found = np.zeros((len(points), *values.shape[len(self.axes) :]))
+        for corner, weight in zip(corners, weights.T, strict=True):
+            found += (values[tuple((lower + corner).T)].T * weight).T
+        return found
+
+    def _cells(self, points: Array) -> tuple[IntArray, IntArray, Array]:
+        """Return which nodes N points of k coordinates are between, and the weights (N, 2^k) of these.
+
+        They are the lower ones (N, k) plus each of the corners (2^k, k) of a cell.
+        """
         lower = np.stack(
             [
                 np.clip(np.searchsorted(axis, points[:, k], side="right") - 1, 0, len(axis) - 2)
@@ -152,7 +165,8 @@ class SectorGrid:
             axis=1,
         )
         low, high = (np.stack([axis[lower[:, k] + i] for k, axis in enumerate(self.axes)], axis=1) for i in (0, 1))
-        return lower, (points - low) / (high - low)
+        place, corners = (points - low) / (high - low), np.array(list(itertools.product((0, 1), repeat=len(self.axes))))
+        return corners, lower, np.prod(np.where(corners, place[:, None], 1.0 - place[:, None]), axis=2)
 
 
 def axes_of(frame: Frame, base: Array, tips: Array) -> Array:
@@ -162,12 +176,6 @@ def axes_of(frame: Frame, base: Array, tips: Array) -> Array:
     """
     turned = base[..., :3, :3] if frame == "base" else (base @ tips)[:, :3, :3]
     return np.broadcast_to(turned, (len(tips), 3, 3))
-
-
-def _multilinear(axes: Sequence[Array], values: Array, points: Array) -> Array:
-    from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415 - slow to load, and few machines have a grid
-
-    return np.asarray(RegularGridInterpolator(axes, values)(points))
 
 
 def _within(values: Array, axis: Array) -> BoolArray:

@@ -34,7 +34,7 @@ _Range = Annotated[tuple[_Number, _Number], AfterValidator(_ordered)]
 class Strict(BaseModel):
     """What a file of a machine holds: nothing that is not known, and no number that is none."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True, defer_build=True)
 
 
 class NoiseEntry(Strict):

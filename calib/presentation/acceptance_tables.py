@@ -2,19 +2,14 @@
 
 from collections.abc import Sequence
 
-import numpy as np
 from rich.text import Text
 
 from calib.assessment.acceptance import SIGNIFICANCE, ChiSquare, Verification
 from calib.assessment.drift import Comparison
 from calib.assessment.iso9283 import IsoFigure
-from calib.foundations.arrays import BoolArray
-from calib.foundations.csv_text import csv_text
-from calib.foundations.units import DEG, DISPLAY, DISPLAY_OF, MM
-from calib.machine.uncertainty import UncertaintyMap
+from calib.foundations.units import DEG, DISPLAY, MM
 from calib.presentation.report.document import Row, Sheet
 from calib.presentation.sheets import figures_in, signed
-from calib.robot.robot import Reading
 
 
 def verification_sheet(found: Verification) -> Sheet:
@@ -108,27 +103,3 @@ def iso_sheet(figures: Sequence[IsoFigure]) -> Sheet:
     rows = [(one.name, one.place, str(one.n), *figures_in(one.unit, one.value)) for one in figures]
     columns, said = ("figure", "pose", ">n", ">value", "unit"), "after the method of the standard; no certificate"
     return Sheet.of("Figures after ISO 9283", columns, rows, said)
-
-
-def map_sheet(found: UncertaintyMap, known: BoolArray) -> Sheet:
-    """Return percentiles of the standard deviations over the workspace."""
-    rows = []
-    for k, (quantity, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
-        values = figures_in(unit, *np.percentile(found.sigmas[:, k], (5, 50, 95, 100)))
-        rows.append((quantity, *values, f"{100 * np.mean(known[:, k]):.0f} %"))
-    return Sheet.of(
-        "Standard deviation of the tool, in the instrument's frame",
-        ("quantity", ">5 %", ">median", ">95 %", ">max", "unit", ">known"),
-        rows,
-        "all coordinates together, over sampled poses",
-    )
-
-
-def map_csv(found: UncertaintyMap, readings: Sequence[Reading]) -> str:
-    """Return every sampled pose of a map as a table: joints in degrees and mm, the rest as its columns say."""
-    factors = np.array([DISPLAY_OF[reading.dimension][0] for reading in readings])
-    columns = [*(f"{r.name} [{DISPLAY_OF[r.dimension][1]}]" for r in readings), "x [mm]", "y [mm]", "z [mm]"]
-    header = [*columns, "sigma [mm]", "sigma_angle [deg]", "null_space [mm]", "null_space_angle [deg]"]
-    both = np.array([MM, DEG])
-    rows = np.hstack([found.readings * factors, found.positions / MM, found.sigmas / both, found.null_space_rms / both])
-    return csv_text([header, *([f"{value:.5f}" for value in row] for row in rows)])

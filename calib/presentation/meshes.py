@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.files import DAMAGED
@@ -231,7 +230,9 @@ def _creased(part: Triangles) -> Triangles:
     normals /= np.where(sizes > 0.0, sizes, 1.0)[:, None]
     smooth = beside[(normals[beside[:, 0]] * normals[beside[:, 1]]).sum(axis=1) >= np.cos(_CREASE)]
     n = len(part.faces)
-    _, patch = connected_components(coo_array((np.ones(len(smooth)), smooth.T), shape=(n, n)), directed=False)
+    _, patch = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.coo_array((np.ones(len(smooth)), smooth.T), shape=(n, n)), directed=False
+    )
     corners = np.repeat(patch, 3).astype(np.int64) * len(part.vertices) + part.faces.ravel()
     doubled, index = np.unique(corners, return_inverse=True)
     return Triangles(part.vertices[doubled % len(part.vertices)], index.reshape(-1, 3), part.rgb)

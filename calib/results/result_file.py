@@ -23,7 +23,7 @@ _ByQuantity = dict[str, Annotated[Metrics, AfterValidator(_possible)]]
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(extra="ignore", strict=True, frozen=True)
+    model_config = ConfigDict(extra="ignore", strict=True, frozen=True, defer_build=True)
 
 
 class CheckEntry(_Part):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
 from calib.foundations.errors import CalibError, JobError, MeasurementError, OutputError
 from calib.machine import grid
@@ -95,6 +96,12 @@ def test_uneven_nodes_when_given() -> None:
 def test_smooth_fields_are_nearly_reproduced() -> None:
     known, points = made(smooth), inside()
     assert np.linalg.norm(known.at(points) - smooth(points), axis=1).max() < 5e-6
+
+
+def test_cells_are_interpolated_as_scipy_does() -> None:
+    known, points = made(smooth), np.concatenate([inside(), nodes()])
+    interpolated = RegularGridInterpolator(known.axes, known.errors)(points[:, list(known.joints)])
+    assert np.array_equal(known.at(points), interpolated)
 
 
 def test_outside() -> None:

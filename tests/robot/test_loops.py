@@ -16,6 +16,7 @@ from calib.machine.calibrated import machine_of
 from calib.machine.model_file import model_json
 from calib.machine.urdf import calibrated_urdf
 from calib.robot.load import load_robot, with_document
+from calib.robot.loops import at_dead_centre
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 from calib.robot.sampling import closing, random_readings
 from calib.robot.urdf import parse_urdf
@@ -392,6 +393,21 @@ def test_a_dead_centre_names_its_row() -> None:
         2,
         "loop 'parallelogram' is at a dead centre: its joints may go two ways",
     )
+
+
+@pytest.mark.parametrize("k", [1, 2, 3, 5])
+def test_a_dead_centre_is_where_a_singular_value_is_small(k: int) -> None:
+    # The smallest one on both sides of the limit, the others of any size.
+    chance = np.random.default_rng(k)
+    values = 10.0 ** chance.uniform(-3.0, 2.0, (2000, k))
+    values[:, -1] = 1e-6 * 10.0 ** chance.uniform(-2.0, 2.0, len(values))
+    values[::50, -1] = 0.0
+    left, right = (np.linalg.qr(chance.normal(size=(len(values), k, k)))[0] for _ in range(2))
+    slope = (left * values[:, None]) @ right
+    smallest = np.linalg.svd(slope, compute_uv=False)[:, -1]
+    assert 500 < np.count_nonzero(smallest < 1e-6) < 1500
+    assert np.array_equal(at_dead_centre(slope), smallest < 1e-6)
+    assert not at_dead_centre(slope[smallest > 1e-6]).any()
 
 
 def test_links_that_do_not_reach_name_their_row() -> None:

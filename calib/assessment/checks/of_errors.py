@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from calib.assessment.checks.of_fit import ROUNDING, small_sigma
 from calib.assessment.effects import memory
@@ -196,7 +196,9 @@ def _copied(own: Sequence[JudgedSet], one: JudgedSet) -> BoolArray:
     wanted = _apart(one.data, names)
     for other in own:
         if other.data.kind == one.data.kind and len(other.data) and len(one.data):
-            distance, _ = cKDTree(_apart(other.data, names)).query(wanted, p=np.inf, distance_upper_bound=ONE_POSE)
+            distance, _ = scipy.spatial.cKDTree(_apart(other.data, names)).query(
+                wanted, p=np.inf, distance_upper_bound=ONE_POSE
+            )
             found |= np.isfinite(distance)
     return found
 

@@ -12,7 +12,7 @@ the corner follows. The corner is where the model has its point of symmetry, whi
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import erf
+import scipy
 
 from calib.foundations.arrays import Array, BoolArray, read_only
 
@@ -108,7 +108,7 @@ def _model(z: Array, dx: Array, dy: Array) -> tuple[Array, Array]:
     s = np.sqrt(2.0) * np.exp(z[:, 4:5])
     c1, s1, c2, s2 = np.cos(z[:, 2:3]), np.sin(z[:, 2:3]), np.cos(z[:, 3:4]), np.sin(z[:, 3:4])
     t1, t2 = (c1 * x + s1 * y) / s, (c2 * x + s2 * y) / s
-    e1, e2 = erf(t1), erf(t2)
+    e1, e2 = scipy.special.erf(t1), scipy.special.erf(t2)
     b1, b2 = (2.0 / np.sqrt(np.pi) * np.exp(-t * t) for t in (t1, t2))
     c, gx, gy = z[:, 5:6], z[:, 7:8], z[:, 8:9]
     model = z[:, 6:7] + gx * x + gy * y + c * e1 * e2

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
+import scipy
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
@@ -70,7 +70,9 @@ def _rests(data: Measurements, times: Array, least: float, still: float) -> list
     if not step > 0.0:
         return []
     window = max(round(2.0 * _SETTLED / step), 1)
-    swing = maximum_filter1d(data.readings, window, axis=0) - minimum_filter1d(data.readings, window, axis=0)
+    swing = scipy.ndimage.maximum_filter1d(data.readings, window, axis=0) - scipy.ndimage.minimum_filter1d(
+        data.readings, window, axis=0
+    )
     rests = np.all(swing <= still, axis=1)
     of = np.column_stack([data.tool, data.setup, data.target])
     begins = np.concatenate([[True], (np.diff(times) > 5.0 * step) | np.any(np.diff(of, axis=0) != 0, axis=1)])
