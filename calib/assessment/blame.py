@@ -34,7 +34,7 @@ from calib.identification.identify import Placed, identify_alike, residuals_of
 from calib.identification.initialisation.lenses import legible, photographs_of
 from calib.identification.photographs import Optics, poses_of
 from calib.identification.photographs import fit as bundle
-from calib.identification.system import photograph_numbers
+from calib.identification.rows import photograph_numbers
 from calib.identification.together import Together
 from calib.measurement.boards import can_be_bent
 from calib.measurement.lens import BENT, CENTRE, FOCAL, Lens

@@ -50,7 +50,7 @@ from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
 from calib.identification.parameters import directions, scales
-from calib.identification.system import Rates, without_rows
+from calib.identification.system import without_rows
 from calib.identification.weights import sigmas_of
 from calib.machine.tool_motion import tool_jacobian
 from calib.measurement.kinds import QUANTITIES
@@ -573,7 +573,7 @@ class _System:
 
     def _made(self) -> Iterable[tuple[int, slice, Array, Array]]:
         problem = self._problem
-        rates = Rates(problem, problem.machine(self._x), scales(problem.parameters))
+        rates = problem.rates(problem.machine(self._x), scales(problem.parameters))
         sets = zip(problem.measurements, self._sigmas, self._looked_at, strict=True)
         for i, (every, sigmas, own) in enumerate(sets):
             data, sigma = (every, sigmas) if own.all() else (every.subset(own), sigmas[own])

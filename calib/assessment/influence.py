@@ -19,7 +19,8 @@ from calib.identification import losses, weights
 from calib.identification.arrow import Covariance, Split
 from calib.identification.fit import Fit
 from calib.identification.parameters import scales
-from calib.identification.system import Block, Problem, Rates
+from calib.identification.rates import Block, Rates
+from calib.identification.system import Problem
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 
@@ -125,7 +126,7 @@ class Residue:
             w,
             np.array(squares),
             np.array(freedom),
-            _predicted(fit, Rates(problem, fit.machine, units, fit.spread.split), covariance),
+            _predicted(fit, problem.rates(fit.machine, units, fit.spread.split), covariance),
         )
 
     @property
@@ -152,7 +153,7 @@ class Residue:
 
     def blocks(self) -> Iterator[WhitenedRows]:
         """Yield all rows, block by block."""
-        rates = Rates(self.problem, self.fit.machine, scales(self.fit.parameters), self.split)
+        rates = self.problem.rates(self.fit.machine, scales(self.fit.parameters), self.split)
         for i, data in enumerate(self.fit.measurements):
             for block in rates.blocks(data):
                 sigma = self.sigma[i][block.rows]
@@ -164,7 +165,7 @@ class Residue:
     @cached_property
     def whose(self) -> tuple[IntArray, ...]:
         """The block (N,) of every row of every set, -1 for none."""
-        rates = Rates(self.problem, self.fit.machine, scales(self.fit.parameters), self.split)
+        rates = self.problem.rates(self.fit.machine, scales(self.fit.parameters), self.split)
         return tuple(
             np.full(len(data), -1, dtype=np.intp) if (own := rates.whose(data)) is None else own
             for data in self.fit.measurements

@@ -8,7 +8,7 @@ from calib.assessment.influence import Residue
 from calib.assessment.validation import ONE_POSE, both_ends
 from calib.foundations.arrays import Array, IntArray
 from calib.identification.parameters import scales
-from calib.identification.system import Problem, Rates
+from calib.identification.system import Problem
 from calib.identification.together import Together
 from calib.measurement.kinds import WITH_TARGET
 from calib.measurement.measurements import Measurements
@@ -78,9 +78,9 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
         together = together and together.drawn(rows, np.zeros_like(rows))
         less = _as_it_is if together is None else together.less
         at = Problem(wide, parameters, fit.machine.frames, (part,))
-        W = less(np.concatenate([b.J for b in Rates(at, fit.machine, units).blocks(part)]) / sigma * w)
+        W = less(np.concatenate([b.J for b in at.rates(fit.machine, units).blocks(part)]) / sigma * w)
         mine = replace(residue.problem, measurements=(part,), parameters=judged)
-        blocks = list(Rates(mine, fit.machine, scales(judged)).blocks(part))
+        blocks = list(mine.rates(fit.machine, scales(judged)).blocks(part))
         J = less(np.concatenate([b.J for b in blocks]) / sigma * w)
         r = less(np.concatenate([b.observed.residual for b in blocks])[:, :, None] / sigma * w)[:, :, 0]
         tool = W[:, :, kinds == "tool"].reshape(*W.shape[:2], -1, 6).sum(axis=2)

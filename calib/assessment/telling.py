@@ -10,7 +10,6 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import values_at
 from calib.identification.parameters import scales
-from calib.identification.system import Rates
 from calib.measurement.measurements import Measurements
 
 # Rows that are looked at, evenly spread: neighbours of a stream say the same, and err alike.
@@ -37,7 +36,7 @@ def most_telling(model: ErrorModel, data: Measurements, count: int) -> Measureme
         problem = initial_problem(model, (data.subset(rows),))
         machine = problem.machine(values_at(model.robot, problem.parameters, problem.reference))
         (part,) = problem.measurements
-        J = np.concatenate([b.J for b in Rates(problem, machine, scales(problem.parameters)).blocks(part)])
+        J = np.concatenate([b.J for b in problem.rates(machine, scales(problem.parameters)).blocks(part)])
         sigma = np.where(part.sigma > 0.0, part.sigma, _NOISE)
         prior = np.array([1.0 / parameter.hold if parameter.hold > 0.0 else np.inf for parameter in problem.parameters])
         chosen = sequence(space(DesignRows.without_misfit(J / sigma[:, :, None]), "D", prior=prior), count)

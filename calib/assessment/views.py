@@ -26,7 +26,8 @@ from calib.foundations.units import DEG
 from calib.identification.fit import Fit
 from calib.identification.machine import values_at
 from calib.identification.parameters import directions, scales
-from calib.identification.system import Problem, photograph_numbers, with_twists
+from calib.identification.rows import photograph_numbers
+from calib.identification.system import Problem, with_twists
 from calib.identification.together import Together
 from calib.machine.tool_motion import tool_jacobian, tool_poses
 from calib.measurement.measurements import Measurements

@@ -26,8 +26,9 @@ from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.memory import with_memory
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter, scales
+from calib.identification.rows import photograph_numbers
 from calib.identification.solver import Near, Solution, solution_at, solve
-from calib.identification.system import Problem, photograph_numbers, residuals, with_twists
+from calib.identification.system import Problem, residuals, with_twists
 from calib.identification.together import FEWEST, Together, likeliest
 from calib.measurement.lens import FOCAL
 from calib.measurement.measurements import Measurements

@@ -26,7 +26,7 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.identification.arrow import Covariance
 from calib.identification.parameters import scales
-from calib.identification.system import Component, Problem, Rates
+from calib.identification.system import Component, Problem
 from calib.measurement.measurements import Measurements
 
 # Times that noise may remember, in rows' distances and s; sums of neighbours stand for what is between them.
@@ -118,7 +118,7 @@ def _chosen(n: int) -> IntArray:
 
 
 def _jacobian(problem: Problem, x: Array, part: Measurements, component: Component, known: Covariance) -> Array:
-    rates, found = Rates(problem, problem.machine(x), scales(problem.parameters), known.split), []
+    rates, found = problem.rates(problem.machine(x), scales(problem.parameters), known.split), []
     for block in rates.blocks(part):
         J = block.J
         if block.own is not None and block.block is not None:

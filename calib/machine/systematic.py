@@ -24,7 +24,8 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.identification.arrow import Split
 from calib.identification.machine import Machine
-from calib.identification.system import Block, Problem, Rates
+from calib.identification.rates import Block
+from calib.identification.system import Problem
 from calib.machine.uncertainty import Waves
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import Conditions
@@ -67,7 +68,7 @@ class Systematic:
         self, problem: Problem, at: Machine, sigmas: Sequence[Array], waves: Waves, units: Array, split: Split
     ) -> None:
         self._problem, self._at, self._sigmas, self._waves = problem, at, sigmas, waves
-        self.rates = Rates(problem, at, units, split)
+        self.rates = problem.rates(at, units, split)
         self._tips: dict[str, TipModel] = {}
         self._many = [data.sigma.shape[1] * _drifts(len(data)) for data in problem.measurements]
 

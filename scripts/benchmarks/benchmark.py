@@ -189,7 +189,7 @@ def lines_of(observes: str, rounds: int, bare: Callable[[Array], None]) -> list[
     units = scales(problem.parameters)
     works = {
         "bare": lambda: bare(c.data.readings),
-        "jacobian": lambda: [None for _ in system.Rates(problem, problem.machine(fit.values), units).blocks(c.data)],
+        "jacobian": lambda: [None for _ in problem.rates(problem.machine(fit.values), units).blocks(c.data)],
         "evaluate": lambda: system.evaluate(problem, [c.data.sigma], fit.values),
         "identify": lambda: calib.identify(c.model, c.data),
     }
@@ -226,7 +226,7 @@ def kernels(largest: int, rounds: int, bare: Callable[[Array], None], library: c
             units = scales(problem.parameters)
 
             def ours(p: Problem = problem, x: Array = fit.values, u: Array = units) -> None:
-                for _ in system.Rates(p, p.machine(x), u).blocks(p.measurements[0]):
+                for _ in p.rates(p.machine(x), u).blocks(p.measurements[0]):
                     pass
 
             plain = yardsticks.plain(problem, problem.measurements[0], problem.machine(fit.values), units)
@@ -259,16 +259,16 @@ def parts(problem: Problem, plain: yardsticks.Plain, x: Array, units: Array) -> 
 
     def machine() -> None:
         # What no row is needed for is made with the first one.
-        next(system.Rates(problem, problem.machine(x), units).blocks(first))
+        next(problem.rates(problem.machine(x), units).blocks(first))
 
-    known = system.Rates(problem, problem.machine(x), units)
+    known = problem.rates(problem.machine(x), units)
     works = (lambda: yardsticks.from_frames(plain, there), lambda: list(known.blocks(data)), machine)
     return dict(zip(PARTS, works, strict=True))
 
 
 def refuse_other(works: dict[str, Callable[[], object]], plain: object, problem: Problem, x: Array, u: Array) -> None:
     """Hold the yardsticks against our own answer: what does other work is none."""
-    found = list(system.Rates(problem, problem.machine(x), u).blocks(problem.measurements[0]))
+    found = list(problem.rates(problem.machine(x), u).blocks(problem.measurements[0]))
     own = np.concatenate([b.observed.residual for b in found]), np.concatenate([b.J for b in found])
     answers = [lambda: yardsticks.batched(plain)] + [w for w in works.values() if isinstance(w, yardsticks.Loop)]
     if (worst := max(yardsticks.same(answer, own) for answer in answers)) > 1e-7:

@@ -37,6 +37,11 @@ ROOT = Path(__file__).resolve().parents[2]
 ANSWERS = ROOT / "scripts/development/mutation_answers.json"
 
 OBSERVATIONS = "identification/test_observations"
+OF_SYSTEMS = (
+    "identification/test_jacobian",
+    "properties/test_calibrations",
+    f"{OBSERVATIONS}::test_columns_match_central_differences",
+)
 # The tests of each module, quick ones first.
 ROOMS: dict[str, tuple[str, ...]] = {
     "foundations/rigid": ("foundations/test_rigid", "properties/test_rigid", "robot/test_deviation"),
@@ -64,18 +69,17 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "identification/losses": ("identification/test_losses", "assessment/test_outliers"),
     "identification/widths": ("identification/test_learned_priors",),
     "identification/identifiability": ("identification/test_identifiability", "properties/test_calibrations"),
-    "identification/system": (
-        "identification/test_jacobian",
-        "properties/test_calibrations",
-        f"{OBSERVATIONS}::test_columns_match_central_differences",
-    ),
+    "identification/system": OF_SYSTEMS,
+    "identification/rates": OF_SYSTEMS,
+    "identification/selection": OF_SYSTEMS,
+    "identification/rows": OF_SYSTEMS,
     "identification/solver": ("assessment/test_nist", "properties/test_calibrations", "identification/test_identify"),
     "identification/observations/pose": ("identification/test_jacobian",),
     "identification/observations/distance": (f"{OBSERVATIONS}::test_columns_match_central_differences",),
     "identification/observations/plane": (f"{OBSERVATIONS}::test_columns_match_central_differences",),
     "identification/observations/socket": (f"{OBSERVATIONS}::test_columns_match_central_differences",),
     "identification/observations/pixels": ("identification/test_pixels",),
-    "assessment/uncertainty": ("assessment/test_uncertainty",),
+    "machine/uncertainty": ("machine/test_uncertainty",),
 }
 BINARY: dict[type[ast.operator], type[ast.operator]] = {
     ast.Add: ast.Sub,

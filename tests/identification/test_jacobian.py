@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.foundations.errors import RobotError
-from calib.identification import system
+from calib.identification import rows, system
 from calib.identification.parameters import scales
 from tests.support import machines
 from tests.support.jacobians import check, problem
@@ -30,7 +30,7 @@ def test_a_machine_whose_deviations_are_no_numbers_is_refused() -> None:
 def test_the_triangles_have_the_gram_matrix_of_the_whole_system(observes: str, monkeypatch: pytest.MonkeyPatch) -> None:
     found, x = problem(*ARMS["mimic"], observes, "pose", rows=50)
     (data,), (J,) = found.measurements, system.jacobian(found, x)
-    monkeypatch.setattr(system, "BLOCK", 7)
+    monkeypatch.setattr(rows, "BLOCK", 7)
     (residual,), triangles, *_ = system.evaluate(found, [data.sigma], x)
     np.testing.assert_allclose(system.jacobian(found, x)[0], J, rtol=1e-14, atol=1e-14)
     np.testing.assert_array_equal(

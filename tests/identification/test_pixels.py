@@ -17,7 +17,8 @@ from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import Layout, values_at
 from calib.identification.observability import observability
 from calib.identification.parameters import scales
-from calib.identification.system import Problem, photograph_numbers, with_twists
+from calib.identification.rows import photograph_numbers
+from calib.identification.system import Problem, with_twists
 from calib.identification.targets import Target
 from calib.identification.together import Together
 from calib.measurement.boards import Board
@@ -120,7 +121,7 @@ def test_photographs_say_what_their_marks_say(
         problem = replace(problem, together=(Together.of(1e-4, 3e-4, 0.1, number, rows.by_twist, sigmas[0]),))
     photographs = problem.evaluate(sigmas, x)
     assert problem.photographs[0] is not None
-    monkeypatch.setattr(system, "_photographs", lambda _: None)
+    monkeypatch.setattr(system, "photographs_of", lambda _: None)
     marks = replace(problem).evaluate(sigmas, x)
     np.testing.assert_allclose(photographs.residuals[0], marks.residuals[0], atol=1e-9)
     few, many = (_squares(one.rows.whole) for one in (photographs, marks))

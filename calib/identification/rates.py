@@ -1,0 +1,284 @@
+"""How what is measured follows the parameters at a machine: residuals and Jacobian of every set, block by block."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, IntArray
+from calib.identification.machine import Machine
+from calib.identification.observations.pixels import Photographed, of_photographs, photographed
+from calib.identification.observations.seen import Linearised, Moved, Seen
+from calib.identification.rows import (
+    held_at,
+    naming_row,
+    observed_rows,
+    on_links,
+    one_or_all,
+    row_blocks,
+    scalars_of,
+    setups_of,
+)
+from calib.identification.selection import Selection
+from calib.identification.set_up_motions import TargetsFollowed
+from calib.measurement.measurements import Measurements
+from calib.measurement.streams.stream import SHIFTS
+from calib.robot.kinematics import Follow, followed
+from calib.robot.robot import Nominals, Robot, TipModel, TipMotion
+
+
+class Block(NamedTuple):
+    """Rows of one set: residuals with derivatives, and their Jacobian (n, d, c) by common parameters.
+
+    ``own`` (n, d, a): their derivatives by the parameters of the row's ``block`` (n,), -1 for none; both are None where
+    all are common. ``moved``: the tools, and other ends. ``grounds``: which of the rows are told in which link, None
+    being the floor.
+    """
+
+    rows: slice
+    observed: Linearised
+    J: Array
+    own: Array | None
+    block: IntArray | None
+    moved: tuple[Moved, ...]
+    grounds: tuple[tuple[str | None, IntArray | slice], ...]
+
+
+class Links(dict[str, TipModel]):
+    """Models of a robot as the one of a machine is, by the link that they look at; "" is the robot's tip."""
+
+    def __init__(self, robot: Robot, at: Machine, nominals: Nominals | None = None) -> None:
+        super().__init__()
+        self._robot, self._at, self._nominals = robot, at, Nominals() if nominals is None else nominals
+
+    def __missing__(self, link: str) -> TipModel:
+        robot = self._robot if link in ("", self._robot.tip) else self._robot.with_tip(link)
+        found = TipModel(robot, self._at.deviations, self._nominals[self._robot], self._at.motions)
+        self[link] = found
+        return found
+
+
+class _Clocked(NamedTuple):
+    """Rates (n, k) of the readings of rows of a stream, and how the controller's time (n, p) follows the parameters."""
+
+    rates: Array
+    by: Array
+
+    def subset(self, rows: IntArray) -> "_Clocked":
+        return _Clocked(self.rates[rows], self.by[rows])
+
+
+# Of some rows, the photograph of each and what was seen: numbers of photographs, as few as say the same.
+_Folding = Callable[[slice, IntArray, Photographed], tuple[Array, Array, dict[str, Array]]]
+
+
+class Rates:
+    """How frames follow the parameters at a machine: the same for all sets.
+
+    ``selection``: which parameters move what, in which columns and units.
+    """
+
+    def __init__(self, robot: Robot, nominals: Nominals, selection: Selection, at: Machine) -> None:
+        self._robot, self._frames, self._selection = robot, at.frames, selection
+        self._links = Links(robot, at, nominals)
+        self._at, self._of_targets = at, selection.of_targets.turned(at.target_twists)
+        self._on: dict[str, tuple[Array, Array]] = {}
+        self._by: dict[tuple[str, int, int], Array] = {}
+
+    @property
+    def of_targets(self) -> TargetsFollowed:
+        """How targets follow common parameters."""
+        c = self._selection.common
+        numbers = self._of_targets.following(c)
+        return TargetsFollowed(numbers, self._of_targets.written_out(numbers, c))
+
+    @property
+    def of_scalars(self) -> Array:
+        """How scalars (s, c) follow common parameters."""
+        return self._selection.of_scalars[:, : self._selection.common]
+
+    def whose(self, data: Measurements) -> IntArray | None:
+        """Return the blocks (N,) that rows of a set are about, -1 for none; None where there are no blocks at all."""
+        selection = self._selection
+        return selection.things.blocks_of(selection.block, data) if len(selection.split.blocks) else None
+
+    def seen(self, data: Measurements) -> IntArray:
+        """Return the blocks (k,) that rows of a set are about."""
+        found = np.unique([] if (whose := self.whose(data)) is None else whose).astype(np.intp)
+        return np.asarray(found[found >= 0])
+
+    def photographs(self, data: Measurements, number: IntArray, folded: _Folding) -> Iterator[Block]:
+        """Yield the photographs of one set as :meth:`blocks` does rows, what is seen in each ``folded`` into a few.
+
+        ``number`` (N,): the photograph of every row. Where the robot stood is computed once for each.
+        """
+        frames, tip, whose, c = self._frames, self._links[data.tip], self.whose(data), self._selection.common
+        for rows in row_blocks(data, number):
+            _, first, own = np.unique(number[rows], return_index=True, return_inverse=True)
+            at = np.asarray(first + rows.start, dtype=np.intp)
+            setups, tool, target = setups_of(data, at), one_or_all(data.tool[at], data.tools), data.target[at]
+            base, group, told = np.asarray(frames.bases[setups]), setups, data.conditions.subset(at)
+            motion = tip.motion(data.readings[at], told)
+            seats = [
+                (link, on, self._links[link].motion(data.readings[at[on]], told.subset(on)))
+                for link, on in on_links(data, at)
+            ]
+            if seats:
+                group = np.array(setups)
+                for _, on, seat in seats:
+                    base[on], group[on] = rigid.inverse(seat.placement), len(frames.bases)
+            held = held_at(motion.tip, frames.tools, tool, None, rows)
+            tools, targets = rigid.product(base, held), frames.targets[target]
+            seen = Seen(data, rows, tools, targets[:0], targets, scalars_of(data, frames))
+            observed = of_photographs(seen, *folded(rows, own, photographed(seen, own)))
+            in_base = [follow.seen_from(base[..., :3, :3]) for follow in observed.tool]
+            J = self._through_robot(data.tip, in_base, motion, held, tool, group)
+            for link, on, seat in seats:
+                back = [follow.of(on).negative() for follow in in_base]
+                J[on] += self._through_robot(link, back, seat, held[on], -1, len(frames.bases))
+            self._complete(J, data, observed, target)
+            by_own, block = (None, None) if whose is None else (J[:, :, c:], whose[at])
+            yield Block(rows, observed, J[:, :, :c], by_own, block, (Moved(observed.tool, tools),), ())
+
+    def _complete(self, J: Array, data: Measurements, observed: Linearised, target: IntArray) -> None:
+        """Add to derivatives (n, d, c + a) what comes through targets (n,) and scalars."""
+        if observed.target is not None:
+            self._of_targets.add(observed.target.transpose(2, 1, 0), target, J.transpose(1, 0, 2))
+        for role, by_scalar in observed.scalars.items():
+            J += by_scalar[:, :, None] * self._selection.of_scalars[data.uses[role]]
+
+    def blocks(self, data: Measurements) -> Iterator[Block]:
+        """Yield the rows of one set, block by block."""
+        frames, tip, none = self._frames, self._links[data.tip], len(self._frames.bases)
+        c, whose = self._selection.common, self.whose(data)
+        for rows in row_blocks(data):
+            setups, tool, others, there = setups_of(data, rows), one_or_all(data.tool[rows], data.tools), None, None
+            base, group = np.asarray(frames.bases[setups]), setups
+            with naming_row(data, rows):
+                told = data.conditions_at(frames.scalars, rows, moving=self._robot.weights is not None)
+                readings = data.readings_at(frames.scalars, rows)
+                motion = tip.motion(readings, told)
+                if data.other is not None:
+                    other = one_or_all(data.other.tool[rows], data.tools)
+                    there = tip.motion(data.other.readings[rows], data.other.conditions.subset(rows))
+                    others = held_at(there.tip, frames.tools, other, data.other.points, rows)
+                seats = [
+                    (link, own, self._links[link].motion(readings[own], told.subset(own)))
+                    for link, own in on_links(data, rows)
+                ]
+            if seats:
+                group = np.array(setups)
+                for _, own, seat in seats:
+                    base[own], group[own] = rigid.inverse(seat.placement), none
+            held = held_at(motion.tip, frames.tools, tool, data.points, rows)
+            observed, ends = observed_rows(data, rows, frames, base, held, others)
+            moved = [Moved(observed.tool, ends[0])]
+            clock, turned = self._clock(data, rows), base[..., :3, :3]
+            then = None if clock is None else (readings, clock)
+            in_base = [follow.seen_from(turned) for follow in observed.tool]
+            J = self._through_robot(data.tip, in_base, motion, held, tool, group, then)
+            if data.other is not None and there is not None and others is not None:
+                moved.append(Moved(observed.other, ends[1]))
+                by_other = [follow.seen_from(turned) for follow in observed.other]
+                J += self._through_robot(data.tip, by_other, there, others, other, group)
+            for link, own, seat in seats:
+                # What is seen from a link that moves, moves the other way.
+                back = [follow.of(own).negative() for follow in in_base]
+                then = None if clock is None else (readings[own], clock.subset(own))
+                J[own] += self._through_robot(link, back, seat, held[own], -1, none, then)
+            self._complete(J, data, observed, data.target[rows])
+            on_floor: IntArray | slice = np.flatnonzero(group < none) if seats else slice(None)
+            grounds = ((None, on_floor), *((link, these) for link, these, _ in seats))
+            by_own, block = (None, None) if whose is None else (J[:, :, c:], whose[rows])
+            yield Block(rows, observed, J[:, :, :c], by_own, block, tuple(moved), grounds)
+
+    def _through_robot(
+        self,
+        link: str,
+        follows: Sequence[Follow],
+        motion: TipMotion,
+        at: Array,
+        tool: IntArray | int,
+        group: IntArray | int,
+        then: "tuple[Array, _Clocked] | None" = None,
+    ) -> Array:
+        """Return derivatives (n, d, c + a) of numbers that follow a tool on a link, or the link itself, in the base.
+
+        ``at`` (n, 4, 4): where what they follow is in the base. ``tool`` and ``group``, the set-up: numbers (n,) of
+        rows, or the one of all; the last frame, which follows nothing, where there is none. ``then``: the readings (n,
+        nr) of rows of a stream, and how these depend on its clock.
+        """
+        # By row of the numbers, so that a product leaves all that it makes in one piece.
+        d = sum(follow.size for follow in follows)
+        found, start = np.empty((d, len(at), self._selection.width)), 0
+        for follow in follows:
+            own = found[start : (start := start + follow.size)]
+            numbers = motion.tip.through(follow, at[:, :3, 3])
+            self._by_carriers(link, numbers, tool, group, own)
+            J = own.transpose(1, 0, 2)
+            if self._robot.loops:
+                J += motion.by_passive(numbers) @ (motion.rates @ self._selection.of_robot)
+            if self._robot.terms:
+                J += _times(motion.through_terms(numbers), self._selection.of_terms)
+            if then is not None:
+                readings, clock = then
+                # The tool moves with the velocity that it has then: minus that is what an offset of the clock does.
+                velocity = motion.following(numbers, readings) @ clock.rates[:, :, None]
+                J += velocity * clock.by[:, None, :]
+        return found.transpose(1, 0, 2)
+
+    def _by_carriers(
+        self, link: str, numbers: Array, tool: IntArray | int, group: IntArray | int, found: Array
+    ) -> None:
+        """Write how numbers follow the parameters (d, n, c + a) through what carries a link, by set-up and tool."""
+        if isinstance(group, int) and isinstance(tool, int):
+            followed(numbers, self._by_parameters(link, group, tool), found)
+            return
+        by_robot, tool_twists = self._carrying(link)
+        followed(numbers, by_robot, found)
+        own, n = self._selection, numbers.shape[-1:]
+        own.of_bases.turned(self._at.base_twists).add(numbers[:, 0], np.broadcast_to(group, n), found)
+        own.of_tools.turned(tool_twists).add(numbers[:, -1], np.broadcast_to(tool, n), found)
+
+    def _carrying(self, link: str) -> tuple[Array, Array]:
+        """Return how local twists of what carries a link follow the robot (6 (w + 1), c + a).
+
+        And the twists (k, 6, 6) that tools have there, in the last of these, for changes of their six values.
+        """
+        if link not in self._on:
+            tip, at = self._links[link], self._at
+            tool_twists = rigid.carried(tip.end @ at.frames.tools, at.tool_twists)
+            self._on[link] = tip.follow @ self._selection.of_robot, tool_twists
+        return self._on[link]
+
+    def _by_parameters(self, link: str, group: int, tool: int) -> Array:
+        """Return how local twists of what carries a link follow the parameters (6 (w + 1), c + a).
+
+        With the base of a set-up, or none for what is told in another link, and one of the tools, or -1 for none.
+        """
+        key = link, group, tool
+        if key not in self._by:
+            by_robot, tool_twists = self._carrying(link)
+            own, base_twists, found = self._selection, self._at.base_twists, by_robot.copy()
+            by_carrier = found.reshape(6, -1, own.width)
+            if group < len(base_twists):
+                by_carrier[:, 0] += base_twists[group] @ own.each_base[group]
+            if tool >= 0:
+                by_carrier[:, -1] += tool_twists[tool] @ own.each_tool[tool]
+            self._by[key] = found
+        return self._by[key]
+
+    def _clock(self, data: Measurements, rows: slice) -> "_Clocked | None":
+        """Return how the moments of rows follow the parameters, None where they are no stream or no clock is free."""
+        roles = [role for role in SHIFTS if role in data.uses]
+        if data.stream is None or not roles:
+            return None
+        rates = data.stream.rates(data.shifts(self._frames.scalars), rows)
+        by = np.stack([data.stream.by_shift(role, rows) for role in roles], axis=1)
+        return _Clocked(rates, by @ self._selection.of_scalars[[data.uses[role] for role in roles]])
+
+
+def _times(rows: Array, matrix: Array) -> Array:
+    """Return rows (n, d, a) times one matrix (a, b) for all, in a single product."""
+    return np.asarray((rows.reshape(-1, len(matrix)) @ matrix).reshape(*rows.shape[:2], -1))
