@@ -97,7 +97,10 @@ def with_memory(
         if pose is not None:
             told = repeated(pose, r, J, C)
             if told is not None:
-                again.append(Repeats(component.measurements, component.quantity, *told, len(data), int(pose.max()) + 1))
+                level = float(np.median(sigmas[component.measurements][:, component.columns]))
+                alone, common = (level * float(np.sqrt(w)) for w in told)
+                poses_there = int(pose.max()) + 1
+                again.append(Repeats(component.measurements, component.quantity, alone, common, len(data), poses_there))
                 more += beyond_alone(*told, pose, J)
             continue
         assert part.times is not None, "rows in time have times"

@@ -24,10 +24,10 @@ _COPIES = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Repeats:
-    """How rows of one pose err, of one quantity of one set: variances, as shares of those by which rows are weighed.
+    """How rows of one pose err, of one quantity of one set: standard deviations of one number, in m or rad.
 
-    ``alone``: w_0, of a row by itself; ``common``: w_1, of what all rows of a pose have in common. There are so many
-    ``rows``, of so many ``poses``.
+    ``alone``: of a row by itself; ``common``: of what all rows of a pose have in common. There are so many ``rows``, of
+    so many ``poses``.
     """
 
     __repr__ = brief

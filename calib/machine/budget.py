@@ -154,7 +154,7 @@ class _Poses(NamedTuple):
     def of(cls, pose: IntArray, told: Repeats) -> "_Poses":
         """Return it as rows of a pose are told to err."""
         many = np.bincount(pose)
-        variance = np.asarray(told.alone + many * told.common, dtype=np.float64)
+        variance = np.asarray(told.alone**2 + many * told.common**2, dtype=np.float64)
         return cls(pose, many, variance / float(np.mean(variance)))
 
     def means(self, rows: Array) -> Array:
