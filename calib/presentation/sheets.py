@@ -183,8 +183,8 @@ def _repeats(fit: Fit) -> Iterator[str]:
         alone, common = (figure(size, UNIT_OF[own.quantity]) for size in (own.alone, own.common))
         what = own.quantity.replace("_", " ")
         yield (
-            f"Rows{of} that repeat a pose err together: {what} errors are {alone} in each row by itself, and {common} in "
-            f"all rows of a pose alike. So sigmas and regions rest on {own.poses} poses, not on {own.rows} rows."
+            f"Rows{of} that repeat a pose err together: {what} errors are {alone} in each row by itself, and {common} "
+            f"in all rows of a pose alike. So sigmas and regions rest on {own.poses} poses, not on {own.rows} rows."
         )
 
 
