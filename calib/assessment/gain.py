@@ -9,8 +9,8 @@ import scipy
 from calib.assessment.effects import memory
 from calib.assessment.judged import JudgedSet
 from calib.assessment.metrics import error_norms, metrics
-from calib.assessment.validation import ONE_POSE, both_ends
 from calib.foundations.arrays import Array
+from calib.measurement.poses import ONE_POSE, both_ends
 
 
 class Gain(NamedTuple):

@@ -18,7 +18,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from calib.assessment.spheres import Sphere, least_squares_sphere, smallest_enclosing_sphere
-from calib.assessment.validation import ONE_POSE
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.brief import brief
@@ -26,6 +25,7 @@ from calib.foundations.errors import MeasurementError, naming_rows
 from calib.foundations.units import MM
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.conditions import refuse_lacking
+from calib.measurement.poses import ONE_POSE
 from calib.measurement.touches import Touches
 from calib.positioner.pivot import pivot
 from calib.robot.conditions import Conditions

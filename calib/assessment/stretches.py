@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.assessment.influence import Residue
-from calib.assessment.validation import ONE_POSE, both_ends
 from calib.foundations.arrays import Array, IntArray
 from calib.identification.parameters import scales
 from calib.identification.system import Problem
 from calib.identification.together import Together
 from calib.measurement.kinds import WITH_TARGET
 from calib.measurement.measurements import Measurements
+from calib.measurement.poses import ONE_POSE, both_ends, things_of
 
 # Of larger data so many rows are taken, in runs of neighbours.
 _MOST_ROWS, _RUN = 6000, 100
@@ -139,8 +139,7 @@ def pose_by_pose(part: Stretch, C: Array) -> Stretch:
     data, rows = part.data, part.row.astype(np.intp)
     if data.stream is not None or data.kind == "pixels" or data.points is not None:
         return part
-    whose = np.column_stack([data.target, data.setup, *(end.tool for end in data.ends)])[rows]
-    first = _first_of_poses(both_ends(data)[rows], whose)
+    first = _first_of_poses(both_ends(data)[rows], things_of(data)[rows])
     if len(first) == len(rows):
         return part
     many = np.diff(np.append(first, len(rows)))

@@ -29,10 +29,8 @@ from calib.identification.identify import identify, identify_near, residuals_of
 from calib.identification.losses import Loss
 from calib.measurement.kinds import QUANTITIES, Kind
 from calib.measurement.measurements import Measurements
+from calib.measurement.poses import ONE_POSE, both_ends
 
-# Readings (rad or m) that agree to within this are of one pose, visited again: servos come back to 0.1 mrad, and
-# different poses of a calibration are a tenth of a radian apart.
-ONE_POSE = 1e-3
 # Stretches of a stream, in s, and farther than any pose in units of one.
 _STRETCH, _FAR = 5.0, 1e9
 
@@ -178,11 +176,6 @@ def _poses(data: Measurements, number: int) -> Array:
         both[:, 1:] = _FAR * (1.0 + number)
         both[:, 0] = 2.0 * np.floor(data.stream.since / _STRETCH)
     return np.asarray(both)
-
-
-def both_ends(data: Measurements) -> Array:
-    """Return the readings (N, 2 k) at both ends of every row, where it has one that twice."""
-    return np.hstack([data.ends[0].readings, data.ends[-1].readings])
 
 
 def folds(group: IntArray, count: int = FOLDS) -> IntArray:

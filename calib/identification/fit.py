@@ -18,6 +18,7 @@ from calib.identification.machine import Machine
 from calib.identification.memory import Memory
 from calib.identification.noise import Noise
 from calib.identification.parameters import Parameter, scales
+from calib.identification.repeats import Repeats
 from calib.identification.together import Together, variances_of
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations, Robot
@@ -45,9 +46,9 @@ class Fit:
     ``losses``: of every set. ``learned``: the learned priors, which the parameters also have as their own.
     ``step``: the last step, in parameter scales; ``evaluations``: how often residuals and Jacobian were computed.
     ``narrowed``: by which factor the weak priors were narrower than usual; 1 if the search did not need it.
-    ``memories``: how rows with times err together, which the covariance includes; ``covariance_alone`` (p, p): what it
-    would be if all rows erred independently. ``together``: of every set, how rows of a photograph err
-    together, by which they are weighed; empty where none do.
+    ``memories`` and ``repeats``: how rows with times, and rows of one pose, err together, which the covariance
+    includes; ``covariance_alone`` (p, p): what it would be if all rows erred independently. ``together``: of every set,
+    how rows of a photograph err together, by which they are weighed; empty where none do.
     """
 
     model: ErrorModel
@@ -76,6 +77,7 @@ class Fit:
     learned: tuple[LearnedPrior, ...] = ()
     narrowed: float = 1.0
     memories: tuple[Memory, ...] = ()
+    repeats: tuple[Repeats, ...] = ()
     together: tuple[Together | None, ...] = ()
 
     @property
@@ -110,7 +112,7 @@ class Fit:
 
     @property
     def covariance_alone(self) -> Array:
-        """What the covariance (p, p) would be if rows with times erred alone."""
+        """What the covariance (p, p) would be if rows with times, and rows of one pose, erred alone."""
         return self.spread_alone.of()
 
     @property

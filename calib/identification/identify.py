@@ -177,7 +177,7 @@ def _identify(
     after = problem.residuals_of(machine)
     spread_out = _with_common(problem, found.variances)
     sigmas = weights.sigmas_of(plain, spread_out, after)
-    spread, memories = with_memory(replace(problem, together=()), found.x, sigmas, after, found.spread)
+    spread, memories, repeats = with_memory(replace(problem, together=()), found.x, sigmas, after, found.spread)
     return Fit(
         model=model,
         measurements=tuple(data.at_clock(machine.frames.scalars) for data in sets),
@@ -205,6 +205,7 @@ def _identify(
         learned=learned,
         narrowed=found.narrowed,
         memories=memories,
+        repeats=repeats,
         together=problem.together,
     )
 

@@ -13,6 +13,8 @@ data say. The parameters have followed a part of the noise, the slowest most of 
 noises is known, and weights are fitted to that (as restricted maximum likelihood does for one: H. D. Patterson,
 R. Thompson, Recovery of inter-block information when block sizes are unequal, Biometrika 58, 1971).
 
+Rows that repeat a pose err together as well (:mod:`calib.identification.repeats`).
+
 The estimate stays that of least squares; its covariance is the sandwich ``C (J^T S J + priors) C`` in the place of C.
 """
 
@@ -26,8 +28,10 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.identification.arrow import Covariance
 from calib.identification.parameters import scales
+from calib.identification.repeats import MOST_ROWS, Repeats, beyond_alone, repeated
 from calib.identification.system import Component, Problem
 from calib.measurement.measurements import Measurements
+from calib.measurement.poses import poses_of
 
 # Times that noise may remember, in rows' distances and s; sums of neighbours stand for what is between them.
 _SHORTEST, _LONGEST, _TIMES = 0.5, 10.0, 14
@@ -68,8 +72,8 @@ class Memory:
 
 def with_memory(
     problem: Problem, x: Array, sigmas: Sequence[Array], residuals: Sequence[Array], covariance: Covariance
-) -> tuple[Covariance, tuple[Memory, ...]]:
-    """Return the covariance at x (p,) when rows with times err together, and how they do.
+) -> tuple[Covariance, tuple[Memory, ...], tuple[Repeats, ...]]:
+    """Return the covariance at x (p,) when rows with times, or of one pose, err together, and how they do.
 
     ``sigmas`` and ``residuals`` (N, d) of every set; ``covariance``: as if rows erred alone. Looked at are common
     parameters, with targets that follow them.
@@ -77,28 +81,38 @@ def with_memory(
     units = scales(problem.parameters)
     scaled = covariance.scaled(1.0 / units)
     C = scaled.common
-    more, found = np.zeros_like(C), []
+    more, found, again = np.zeros_like(C), [], []
+    poses = [_poses(data) for data in problem.measurements]
     for component in problem.components:
-        data = problem.measurements[component.measurements]
-        if not _in_time(data):
+        data, pose = problem.measurements[component.measurements], poses[component.measurements]
+        if not _in_time(data) and pose is None:
             continue
         rows = _chosen(len(data))
         part = data.subset(rows)
-        assert part.times is not None, "rows in time have times"
         J = (
             _jacobian(problem, x, part, component, scaled)
             / sigmas[component.measurements][rows][:, component.columns, None]
         )
         r = (residuals[component.measurements] / sigmas[component.measurements])[rows][:, component.columns]
+        if pose is not None:
+            told = repeated(pose, r, J, C)
+            if told is not None:
+                level = float(np.median(sigmas[component.measurements][:, component.columns]))
+                alone, common = (level * float(np.sqrt(w)) for w in told)
+                poses_there = int(pose.max()) + 1
+                again.append(Repeats(component.measurements, component.quantity, alone, common, len(data), poses_there))
+                more += beyond_alone(*told, pose, J)
+            continue
+        assert part.times is not None, "rows in time have times"
         memory = _memory(component, part.times, J, r, C, len(data))
         if memory is not None:
             found.append(memory)
             share = len(data) / len(rows)
             more += share * (_gram(memory, part.times, J) - np.einsum("ndi,ndj->ij", J, J))
-    if not found:
-        return covariance, ()
+    if not found and not again:
+        return covariance, (), ()
     C = C + C @ more @ C
-    return replace(scaled, common=0.5 * (C + C.T)).scaled(units), tuple(found)
+    return replace(scaled, common=0.5 * (C + C.T)).scaled(units), tuple(found), tuple(again)
 
 
 def _in_time(data: Measurements) -> bool:
@@ -107,6 +121,14 @@ def _in_time(data: Measurements) -> bool:
         return False
     steps = np.diff(data.times)
     return bool(np.all(steps >= 0.0) and 0.0 < float(np.median(steps)) <= _LONGEST / 4.0)
+
+
+def _poses(data: Measurements) -> IntArray | None:
+    """Return the poses (N,) of rows that are not in time, where some repeat one."""
+    if _in_time(data) or len(data) > MOST_ROWS:
+        return None
+    pose = poses_of(data)
+    return pose if len(pose) and int(pose.max()) + 1 < len(pose) else None
 
 
 def _chosen(n: int) -> IntArray:

@@ -6,17 +6,18 @@ S)^-1``. Its error is ``C S^T`` times errors of the priors, ``A`` times noise, a
 sandwich of as many columns as parameters and waves, however many rows there are.
 
 Rows that follow each other closely, as those of a stream, err together beyond all that. The autocorrelation of what is
-left says how many rows count as one.
+left says how many rows count as one. Rows that repeat a pose are taken apart, into the means of poses, and what rows of
+a pose differ by; each of these has a noise of its own, and only the first tells how sure the solution is.
 """
 
 import itertools
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.chance import correlation_time
 from calib.foundations.linear import one_thread, svd, triangle
 from calib.identification import weights
@@ -26,12 +27,14 @@ from calib.identification.fit import Fit
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.machine import Layout, Machine, values_at
 from calib.identification.parameters import Parameter, scales
+from calib.identification.repeats import Repeats, by_pose
 from calib.identification.set_up_motions import without
 from calib.identification.system import Evaluation, Problem, evaluate
 from calib.identification.widths import NormalEquations, likelihood, searched
 from calib.machine.not_seen import likely_widths
 from calib.machine.systematic import Systematic, usual_waves
 from calib.machine.uncertainty import Waves
+from calib.measurement.poses import poses_of
 
 # Directions that the residuals must see, given sizes that are usual, before they may teach one: else it stays usual.
 _FEWEST = 3.0
@@ -53,7 +56,8 @@ class ErrorsByCause(NamedTuple):
 
     ``instrument``: of noise and drift of the instrument; ``unseen``: of priors, stated and weak; ``scatter``: of what
     the model leaves out and looks like noise; ``waves``: of what follows the readings, as :class:`Waves` has it.
-    ``noise`` (c,): of every component the size of all noise that looks random, as a share of what the fit took it for.
+    ``noise`` (c,): of every component the size of all noise that looks random, as a share of what the fit took it for;
+    ``freedom`` (c,): with so many degrees of freedom. ``repeated`` (c,): whether its rows of one pose err together.
     """
 
     parameters: tuple[Parameter, ...]
@@ -64,6 +68,8 @@ class ErrorsByCause(NamedTuple):
     waves: Array
     left_out: Waves
     noise: Array
+    freedom: Array
+    repeated: BoolArray
 
 
 def errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
@@ -86,8 +92,10 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     systematic = Systematic(problem, at, sigmas, waves, scales(every), split)
     parameters = tuple(every[k] for k in split.common)
     p, m, free = len(parameters), systematic.columns, int(np.count_nonzero(split.common < len(fit.parameters)))
-    reduced = _reduced(problem, systematic, split, p + m)
-    triangles = [own.rest for own in reduced]
+    levels = _levels(fit, problem)
+    parts = _parts(problem, systematic, split, levels, p + m)
+    level, scale = np.array([part.level for part in parts]), np.array([part.scale for part in parts])
+    triangles = [part.reduced.rest for part in parts]
     ends = np.cumsum([0, *map(len, triangles)])
     data = np.concatenate(triangles)
     solved = _solved(parameters, evaluate(problem, sigmas, x, split), data, free)
@@ -95,25 +103,25 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
 
     pairs = waves.width.size
     taught = _Taught(
-        [left[start:end].T @ left[start:end] for start, end in itertools.pairwise(ends)],
-        np.array([max(noise.degrees_of_freedom, 1.0) for noise in fit.noise]),
-        _instrument(problem, sigmas),
+        _by_level([left[a:b].T @ left[a:b] for a, b in itertools.pairwise(ends)], level, scale),
+        np.array([max(one.freedom, 1.0) for one in levels]),
+        _instrument(problem, sigmas)[[one.component for one in levels]],
         # Cosine and sine of one order of one reading have one size; drifts have one.
         np.concatenate([np.repeat(np.arange(pairs), 2), np.full(m - waves.many, pairs)]).astype(np.intp),
         m > waves.many,
     )
-    rows_as_one = np.ones(len(triangles))
+    rows_as_one = np.ones(len(levels))
     sizes, noise, found = taught.sizes(rows_as_one)
     # What the solution leaves when errors of those sizes are taken off as well.
     taken = np.concatenate([-from_data @ (data[:, p:] @ np.append(found, 1.0)), found, [1.0]])
-    counted = _rows_as_one(problem, systematic, split, reduced, taken)
+    counted = _rows_as_one(problem, systematic, split, levels, parts, taken)
     if np.any(counted > 1.0):
         rows_as_one = counted
         sizes, noise, _ = taught.sizes(rows_as_one)
 
     of_rows = np.diff(ends)
-    seen = np.repeat(np.minimum(taught.instrument / noise, 1.0), of_rows)
-    sigma = np.repeat(noise * np.sqrt(rows_as_one), of_rows)
+    seen = np.repeat(np.minimum(taught.instrument[level] / (noise[level] * np.sqrt(scale)), 1.0), of_rows)
+    sigma = np.repeat((noise * np.sqrt(rows_as_one))[level] * np.sqrt(scale), of_rows)
     through = from_data * sigma
     hold = np.array([parameter.hold for parameter in parameters])
     z = x[split.common] / scales(parameters)
@@ -128,8 +136,103 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
         _short(through * np.sqrt(1.0 - seen**2)),
         bias[:, : waves.many],
         waves._replace(width=read_only(waves.width * sizes[:pairs].reshape(waves.width.shape))),
-        noise,
+        *_by_component(levels, noise),
     )
+
+
+class _Poses(NamedTuple):
+    """The pose (N,) of every row of a component, numbered from 0; of the poses how often each was measured (P,).
+
+    ``scale`` (P,): the variance of their means times ``many``, as a share of what it is on average.
+    """
+
+    pose: IntArray
+    many: IntArray
+    scale: Array
+
+    @classmethod
+    def of(cls, pose: IntArray, told: Repeats) -> "_Poses":
+        """Return it as rows of a pose are told to err."""
+        many = np.bincount(pose)
+        variance = np.asarray(told.alone**2 + many * told.common**2, dtype=np.float64)
+        return cls(pose, many, variance / float(np.mean(variance)))
+
+    def means(self, rows: Array) -> Array:
+        """Return the means (P, ...) of rows (N, ...), times roots of ``many``: noise of rows that err alone stays."""
+        sums, many = by_pose(rows, self.pose)
+        return np.asarray(sums / np.sqrt(many).reshape(-1, *[1] * (rows.ndim - 1)))
+
+    def in_order(self, rows: Array) -> Array:
+        """Return the means (P, d) of rows (N, d) in the order in which poses were first measured, all of one noise."""
+        order = np.argsort(np.unique(self.pose, return_index=True)[1])
+        return np.asarray((self.means(rows) / np.sqrt(self.scale)[:, None])[order])
+
+    def apart(self, rows: Array) -> Array:
+        """Return what the rows (n, ...) of repeated poses differ by from their means."""
+        again = self.many[self.pose] > 1
+        means = self.means(rows) / np.sqrt(self.many).reshape(-1, *[1] * (rows.ndim - 1))
+        return np.asarray((rows - means[self.pose])[again])
+
+
+class _Level(NamedTuple):
+    """Rows of a ``component`` that have a noise of their own, of ``freedom``: all of them, where ``poses`` is None.
+
+    Else the means of poses; or, ``within``, what rows of one pose differ by.
+    """
+
+    component: int
+    freedom: float
+    poses: _Poses | None = None
+    within: bool = False
+
+
+class _Part(NamedTuple):
+    """Rows of a ``level``, by number, reduced; their variance is ``scale`` times that of the level."""
+
+    level: int
+    scale: float
+    reduced: Reduced
+
+
+def _levels(fit: Fit, problem: Problem) -> list[_Level]:
+    """Return the levels of all components, in their order."""
+    told = {(one.measurements, one.quantity): one for one in fit.repeats}
+    found = []
+    for c, (component, noise) in enumerate(zip(problem.components, fit.noise, strict=True)):
+        one = told.get((component.measurements, component.quantity))
+        if one is None:
+            found.append(_Level(c, noise.degrees_of_freedom))
+            continue
+        data = problem.measurements[component.measurements]
+        poses = _Poses.of(poses_of(data), one)
+        # Parameters are determined by the means.
+        again = (component.columns.stop - component.columns.start) * (one.rows - one.poses)
+        found += [_Level(c, max(noise.degrees_of_freedom - again, 1.0), poses), _Level(c, again, poses, within=True)]
+    return found
+
+
+def _by_level(grams: Sequence[Array], level: IntArray, scale: Array) -> list[Array]:
+    found: list[Array] = []
+    for gram, k, s in zip(grams, level, scale, strict=True):
+        if k == len(found):
+            found.append(gram / s)
+        else:
+            found[k] = found[k] + gram / s
+    return found
+
+
+def _by_component(levels: Sequence[_Level], noise: Array) -> tuple[Array, Array, BoolArray]:
+    """Return the noise of a row of every component, its degrees of freedom, and whether rows of a pose err together."""
+    found = []
+    for k, one in enumerate(levels):
+        if one.poses is None:
+            found.append((noise[k], one.freedom, False))
+        elif not one.within:
+            alone = noise[k + 1]
+            common = max(noise[k] ** 2 - alone**2, 0.0) / float(np.mean(one.poses.many))
+            found.append((np.sqrt(alone**2 + common), one.freedom, True))
+    total, freedom, repeated = zip(*found, strict=True)
+    return np.array(total), np.array(freedom), np.array(repeated)
 
 
 def _split(fit: Fit, problem: Problem) -> Split:
@@ -138,22 +241,52 @@ def _split(fit: Fit, problem: Problem) -> Split:
     seen = Counter(name for data in sets for name in data.seen_targets)
     held = {parameter.name.removeprefix("target.").rpartition(".")[0] for parameter in fit.held}
     related = {name for relation in problem.relations for name in relation.targets}
+    # What has levels of its own is not one noise.
+    related |= {name for told in fit.repeats for name in sets[told.measurements].seen_targets}
     joined = {t for t, name in enumerate(sets[0].targets) if seen[name] > 1 or name in held or name in related}
     layout = Layout.of(problem.model.robot, problem.reference)
     return split_of(problem.parameters, layout, sets, joined, targets_alone=True)
 
 
-def _reduced(problem: Problem, systematic: Systematic, split: Split, columns: int) -> list[Reduced]:
-    """Return the rows ``[J B r]`` of every component, targets eliminated by their own rows alone."""
-    (m, a), found = split.blocks.shape, []
+def _parts(
+    problem: Problem, systematic: Systematic, split: Split, levels: Sequence[_Level], columns: int
+) -> list[_Part]:
+    """Return the rows ``[J B r]`` of every level, in order, targets eliminated by their own rows alone."""
+    m, a = split.blocks.shape
     seen = [systematic.rates.seen(problem.measurements[c.measurements]) for c in problem.components]
     collected = [Collected(own, m, a, columns) for own in seen]
+    whole: dict[int, list[Array]] = {one.component: [] for one in levels if one.poses is not None}
     for c, rows, own, block in systematic.rows():
-        collected[c].add(rows, own, block)
-    for one in collected:
-        which, heads = one.heads
-        found.append(Arrow(split.of_blocks(which), heads, one.rest).reduced(RANK_TOLERANCE))
+        if c in whole:
+            whole[c].append(rows)
+        else:
+            collected[c].add(rows, own, block)
+    found = []
+    for k, one in enumerate(levels):
+        if one.poses is None:
+            found.append(_Part(k, 1.0, _solved_for(split, collected[one.component])))
+            continue
+        rows = np.concatenate(whole[one.component])
+        for scale, own in _alike(one.poses, rows, within=one.within):
+            collected[one.component].rest = np.empty((0, columns + 1))
+            collected[one.component].add(own, None, None)
+            found.append(_Part(k, scale, _solved_for(split, collected[one.component])))
     return found
+
+
+def _alike(poses: _Poses, rows: Array, *, within: bool) -> Iterator[tuple[float, Array]]:
+    """Yield rows whose noise is about the same, and its variance: of poses that were measured about as often."""
+    if within:
+        yield 1.0, poses.apart(rows)
+        return
+    means, often = poses.means(rows), np.frexp(poses.many)[1]
+    for k in np.unique(often):
+        yield float(np.mean(poses.scale[often == k])), means[often == k]
+
+
+def _solved_for(split: Split, rows: Collected) -> Reduced:
+    which, heads = rows.heads
+    return Arrow(split.of_blocks(which), heads, rows.rest).reduced(RANK_TOLERANCE)
 
 
 class _Solved(NamedTuple):
@@ -255,26 +388,36 @@ def _sizes(rows: NormalEquations, drifts: bool) -> tuple[Array, Array]:
 
 
 def _rows_as_one(
-    problem: Problem, systematic: Systematic, split: Split, reduced: Sequence[Reduced], coefficients: Array
+    problem: Problem,
+    systematic: Systematic,
+    split: Split,
+    levels: Sequence[_Level],
+    parts: Sequence[_Part],
+    coefficients: Array,
 ) -> Array:
-    """Return how many rows of every component (c,) count as one, by the autocorrelation of what is left."""
+    """Return how many rows of every level (c,) count as one, by the autocorrelation of what is left."""
     left: list[list[Array]] = [[] for _ in problem.components]
     m, a = split.blocks.shape
-    placed = []
-    for component, own in zip(problem.components, reduced, strict=True):
-        at = np.zeros((m + 1, a))
-        which = systematic.rates.seen(problem.measurements[component.measurements])
-        at[which] = own.follow @ coefficients[:-1] + own.constant * coefficients[-1]
-        placed.append(at)
+    placed = [np.zeros((m + 1, a)) for _ in problem.components]
+    for part in parts:
+        level, own = levels[part.level], part.reduced
+        # Where rows repeat poses, no target is told apart.
+        if level.poses is None:
+            which = systematic.rates.seen(problem.measurements[problem.components[level.component].measurements])
+            placed[level.component][which] = own.follow @ coefficients[:-1] + own.constant * coefficients[-1]
     for c, rows, by_own, block in systematic.rows():
         after = rows @ coefficients
         if by_own is not None:
             after = after + (by_own @ placed[c][block][:, :, None])[:, :, 0]
         left[c].append(after.ravel())
-    numbers = [len(problem.measurements[c.measurements]) for c in problem.components]
-    return np.array(
-        [correlation_time(np.concatenate(r).reshape(n, -1), _LONGEST_LAG) for r, n in zip(left, numbers, strict=True)]
-    )
+    found = []
+    for level in levels:
+        n = len(problem.measurements[problem.components[level.component].measurements])
+        r = np.concatenate(left[level.component]).reshape(n, -1)
+        if level.poses is not None:
+            r = level.poses.in_order(r)
+        found.append(1.0 if level.within else correlation_time(r, _LONGEST_LAG))
+    return np.array(found)
 
 
 def _short(columns: Array) -> Array:

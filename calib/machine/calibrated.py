@@ -14,7 +14,7 @@ from calib.identification.machine import Frames, Layout, Machine
 from calib.identification.noise import Noise
 from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.system import residuals
-from calib.machine.budget import errors_by_cause
+from calib.machine.budget import ErrorsByCause, errors_by_cause
 from calib.machine.residual_model import ResidualModel, shifted
 from calib.machine.tool_motion import tool_jacobian
 from calib.machine.uncertainty import NoiseLevel, Uncertainty
@@ -306,8 +306,8 @@ def _uncertainty(fit: Fit) -> Uncertainty:
         (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
         errors.left_out,
         read_only(null_basis),
-        _level(fit, errors.noise, "m"),
-        _level(fit, errors.noise, "rad"),
+        _level(fit, errors, "m"),
+        _level(fit, errors, "rad"),
         read_only(identified),
     )
 
@@ -367,17 +367,19 @@ def _beyond(variance: float, noise: Noise) -> float:
     return max(beyond - chance / beyond, 0.0)
 
 
-def _level(fit: Fit, shares: Array, unit: str) -> NoiseLevel | None:
-    parts = [(noise, share) for noise, share in zip(fit.noise, shares, strict=True) if UNIT_OF[noise.quantity] == unit]
-    freedom = np.array([noise.degrees_of_freedom for noise, _ in parts])
+def _level(fit: Fit, errors: ErrorsByCause, unit: str) -> NoiseLevel | None:
+    noises = [replace(noise, degrees_of_freedom=own) for noise, own in zip(fit.noise, errors.freedom, strict=True)]
+    every = zip(noises, errors.noise, errors.repeated, strict=True)
+    parts = [one for one in every if UNIT_OF[one[0].quantity] == unit]
+    freedom = np.array([noise.degrees_of_freedom for noise, _, _ in parts])
     if not parts or freedom.sum() <= 0.0:
         return None
 
     def mean(squares: Sequence[float]) -> float:
         return float(np.sqrt(np.average(squares, weights=freedom)))
 
-    total = mean([(share * noise.total) ** 2 for noise, share in parts])
-    model = mean([_beyond((share * noise.total) ** 2, noise) for noise, share in parts])
-    estimated = any(noise.model > 0.0 for noise, _ in parts)
+    total = mean([(share * noise.total) ** 2 for noise, share, _ in parts])
+    model = mean([_beyond((share * noise.total) ** 2, noise) for noise, share, _ in parts])
+    estimated = any(noise.model > 0.0 or repeated for noise, _, repeated in parts)
     # The estimate of the total has the freedom of the residuals; where nothing had to be added, it is not an estimate.
     return NoiseLevel(model, total, float(freedom.sum()) if estimated else float("inf"))

@@ -173,7 +173,19 @@ def noise_sentences(fit: Fit) -> tuple[str, ...]:
         said.append(
             f"Noise of one {what} {'coordinate' if size(kind) > 1 else 'value'}{of}: {instrument}, {model} model{chi}."
         )
-    return (*said, *_together(fit))
+    return (*said, *_together(fit), *_repeats(fit))
+
+
+def _repeats(fit: Fit) -> Iterator[str]:
+    """Yield how rows that repeat a pose err together, of every quantity where they do."""
+    for own in fit.repeats:
+        of = f" of {Path(fit.measurements[own.measurements].where).name}" if len(fit.measurements) > 1 else ""
+        alone, common = (figure(size, UNIT_OF[own.quantity]) for size in (own.alone, own.common))
+        what = own.quantity.replace("_", " ")
+        yield (
+            f"Rows{of} that repeat a pose err together: {what} errors are {alone} in each row by itself, and {common} "
+            f"in all rows of a pose alike. So sigmas and regions rest on {own.poses} poses, not on {own.rows} rows."
+        )
 
 
 def _together(fit: Fit) -> Iterator[str]:

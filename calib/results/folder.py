@@ -243,6 +243,7 @@ def result(found: Calibration) -> dict[str, Any]:
             for file, own in zip(files, fit.together, strict=False)
             if own is not None
         ],
+        "repeats": [asdict(own) | {"measurements": files[own.measurements]} for own in fit.repeats],
         "outliers": _worst(found.outliers),
         "base": _pose(frames.base),
         "setups": dict(zip(own.setups, map(_pose, frames.bases), strict=True)),

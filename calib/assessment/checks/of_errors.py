@@ -9,7 +9,6 @@ from calib.assessment.checks.of_fit import ROUNDING, small_sigma
 from calib.assessment.effects import memory
 from calib.assessment.gain import gain
 from calib.assessment.judged import NOTHING, Check, JudgedSet
-from calib.assessment.validation import ONE_POSE, both_ends
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound
 from calib.foundations.linear import spread
@@ -18,6 +17,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import End, Measurements
+from calib.measurement.poses import ONE_POSE, both_ends
 
 # Of the spread of what was measured. Poor arms leave up to half of it; what does not belong together leaves all.
 LEFT = 0.05

@@ -3,10 +3,10 @@
 import numpy as np
 
 from calib.assessment.judged import NOTHING, Check
-from calib.assessment.validation import ONE_POSE, both_ends
 from calib.identification.fit import Fit
 from calib.measurement.kinds import UNIT_OF
 from calib.measurement.measurements import Measurements
+from calib.measurement.poses import ONE_POSE, both_ends, things_of
 
 # Degrees of freedom with which a scatter is told from a sigma.
 ENOUGH = 10.0
@@ -49,8 +49,7 @@ def _told_before(data: Measurements, *, under_conditions: bool) -> int:
     """
     if data.stream is not None or not len(data):
         return 0
-    whose = [data.tool, data.target, data.setup, *(end.tool for end in data.ends)]
-    told = [np.round(both_ends(data) / ONE_POSE), np.column_stack(whose)]
+    told = [np.round(both_ends(data) / ONE_POSE), things_of(data)]
     told += [] if data.points is None else [data.points]
     if data.kind == "pixels":
         told.append(data.value[:, 2:])

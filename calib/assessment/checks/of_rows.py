@@ -11,11 +11,11 @@ from calib.assessment.metrics import error_norms
 from calib.assessment.mixed_machines import MixedMachines
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
-from calib.assessment.validation import ONE_POSE
 from calib.foundations.chance import bound
 from calib.foundations.units import MM, MS
 from calib.identification.fit import Fit
 from calib.measurement.kinds import QUANTITIES
+from calib.measurement.poses import ONE_POSE
 
 # The chance below which an effect is no accident, and its least size in scatters of the residuals.
 RARELY, SIZE = 1e-4, 3.0

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.assessment.judged import JudgedSet
-from calib.assessment.validation import ONE_POSE
 from calib.foundations.arrays import Array
 from calib.foundations.units import DEG
 from calib.identification.fit import Fit
+from calib.measurement.poses import ONE_POSE
 
 
 def shown_range(fit: Fit, own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> tuple[str, ...]:
