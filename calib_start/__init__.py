@@ -15,6 +15,19 @@ INTERRUPTED = 130
 
 def main() -> None:
     """Load and run the command line; Ctrl-C meanwhile ends it with one line, as later on."""
+    try:
+        with loading():
+            _prepare()
+            from calib.cli import main as run  # noqa: PLC0415 - see above
+    except ImportError as e:
+        if not _on_windows():
+            raise
+        sys.stderr.write(f"Error: {e}\n")
+        sys.exit(1)
+    run()
+
+
+def _prepare() -> None:
     _open_streams()
     try:
         os.getcwd()  # noqa: PTH109 - pathlib is slow to load
@@ -27,15 +40,6 @@ def main() -> None:
     atexit.register(gc.freeze)
     # Else pydantic reads what every installed package says of itself, to find plugins of its.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
-    try:
-        with loading():
-            from calib.cli import main as run  # noqa: PLC0415 - see above
-    except ImportError as e:
-        if not _on_windows():
-            raise
-        sys.stderr.write(f"Error: {e}\n")
-        sys.exit(1)
-    run()
 
 
 @contextlib.contextmanager

@@ -40,6 +40,14 @@ def test_interrupted_while_it_is_loaded(module: str) -> None:
     assert done == (130, "", "Error: interrupted.\n")
 
 
+def test_interrupted_while_streams_are_opened() -> None:
+    at_first = "import os\nfstat = os.fstat\nos.fstat = lambda n: (os.kill(os.getpid(), signal.SIGINT), fstat(n))[1]\n"
+    done = subprocess.run(
+        [sys.executable, "-c", TERMINAL + at_first + MAIN], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "Error: interrupted.\n")
+
+
 def test_interrupted_while_it_works(tmp_path: Path) -> None:
     job = copy_case(tmp_path)
     before = sorted(path.name for path in tmp_path.iterdir())

@@ -257,6 +257,40 @@ def test_what_is_too_wide_is_refused_and_not_cut(folder: Path, monkeypatch: pyte
         read_sheet("a.xlsx")
 
 
+@pytest.mark.parametrize(
+    ("part", "contents", "says"),
+    [
+        ("xl/worksheets/sheet1.xml", b"<row/>" * 1_500_000, "unpacks to more than 4 tags for each of its bytes"),
+        ("xl/sharedStrings.xml", b"<si/>" * 1_500_000, "unpacks to more than 4 tags for each of its bytes"),
+        ("xl/comments1.xml", bytes(60_000_000), "unpacks to more than 50000000 bytes"),
+        ("xl/styles.xml", b"<!DOCTYPE a>", "'xl/styles.xml' has a document type, which no workbook needs"),
+        ("xl/styles.xml", "<!DOCTYPE a>".encode("utf-16"), "'xl/styles.xml' has a document type, which no"),
+    ],
+)
+def test_a_workbook_that_unpacks_to_too_much_is_refused_before_it_is_parsed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, part: str, contents: bytes, says: str
+) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    monkeypatch.setattr(openpyxl, "load_workbook", lambda *_, **__: pytest.fail("was parsed"))
+    with zipfile.ZipFile(folder / "a.xlsx", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(part, contents)
+    with pytest.raises(calib.MeasurementError, match=rf"^a.xlsx: {says}"):
+        read_sheet("a.xlsx")
+
+
+def test_a_workbook_of_one_word_is_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing that a program writes has more tags for each of its bytes."""
+    openpyxl = pytest.importorskip("openpyxl")
+    monkeypatch.setattr(workbook, "_LEAST", 0)
+    monkeypatch.setattr(workbook, "_LEAST_TAGS", 0)
+    book = openpyxl.Workbook(write_only=True)
+    sheet = book.create_sheet()
+    for _ in range(1001):
+        sheet.append(["p"] * 10)
+    book.save(folder / "a.xlsx")
+    assert len(read_sheet("a.xlsx").rows) == 1000
+
+
 def test_arrays_of_too_many_values_are_refused_before_each_becomes_a_word(folder: Path) -> None:
     np.savez_compressed(folder / "a.npz", q=np.zeros(20_000_000, dtype=np.uint8))
     np.savez_compressed(folder / "b.npz", q=np.zeros((2, 1_000_000)))

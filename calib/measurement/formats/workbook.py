@@ -8,10 +8,15 @@ from typing import Any
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
+from calib.foundations.words import shown
 from calib.measurement.layout import is_number
 
 # Of the archive unpacked; a workbook of a million cells has some 50 MB.
 _LARGEST = 200_000_000
+# For each byte of the file, beyond what is always allowed: a workbook of one word again and again has 22 bytes and 2.7
+# tags. openpyxl takes a time that grows with the tags of all parts, of which a small archive may hold tens of millions.
+_MOST_PER_BYTE, _LEAST = 50, 50_000_000
+_MOST_TAGS_PER_BYTE, _LEAST_TAGS = 4, 500_000
 _MOST_ROWS, _MOST_COLUMNS, _MOST_VALUES = 200_000, 1000, 5_000_000
 
 
@@ -26,8 +31,7 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
         raise MeasurementError(f"{where}: needs the package openpyxl: pip install 'urdf-calib[formats]'.") from e
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            if sum(member.file_size for member in archive.infolist()) > _LARGEST:
-                raise MeasurementError(f"{where}: unpacks to more than {_LARGEST} bytes.")
+            _refuse_bombs(archive, len(data), where)
             sheets = [name for name in archive.namelist() if name.startswith("xl/worksheets/")]
             formulas = any(b"<f" in archive.read(name) for name in sheets)
         with warnings.catch_warnings():
@@ -54,6 +58,21 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
         return [f"column {k + 1}" for k in range(width)], rows
     titles = [title or f"column {k + 1}" for k, title in enumerate(rows[0])]
     return titles, rows[1:]
+
+
+def _refuse_bombs(archive: zipfile.ZipFile, size: int, where: str) -> None:
+    """Raise MeasurementError where ``size`` bytes of an archive unpack to more than any program makes of tables."""
+    most = min(_LARGEST, max(_LEAST, _MOST_PER_BYTE * size))
+    if sum(member.file_size for member in archive.infolist()) > most:
+        raise MeasurementError(f"{where}: unpacks to more than {most} bytes.")
+    tags = 0
+    for member in archive.infolist():
+        part = archive.read(member)
+        if b"<!DOCTYPE" in part.replace(b"\0", b""):  # whose entities stand for tags that are not counted
+            raise MeasurementError(f"{where}: {shown(member.filename)} has a document type, which no workbook needs.")
+        tags += part.count(b"<")
+        if tags > max(_LEAST_TAGS, _MOST_TAGS_PER_BYTE * size):
+            raise MeasurementError(f"{where}: unpacks to more than {_MOST_TAGS_PER_BYTE} tags for each of its bytes.")
 
 
 def _rows(sheet: Any, where: str) -> list[list[str]]:
