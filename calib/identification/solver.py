@@ -477,6 +477,8 @@ class _Search(NamedTuple):
             elif tried is good or cost < _CLEARLY_LESS * tried.cost(noise):
                 tried = trial
             else:
+                if not good.noise.settled:  # weighted by what it leaves itself, the point may be the end
+                    good = accepted(good.z, self.evaluator(good.z, noise.sigmas), noise)
                 tried, failures, damping = good, failures + 1, max(10.0 * damping, _LEAST_DAMPING)
                 path = [good.passed]
         # Where nothing lowers the cost, and little is foretold to, the search has come as far as rounding lets it.

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+import calib
 from calib.identification.losses import Loss, scatter_weight, shrinkage, weight
+from tests.support import machines, touching
 
 # rho(z) of z = (t / c)^2, as in scipy.optimize.least_squares, and c.
 RHO = {
@@ -50,3 +52,13 @@ def test_shrinkage_is_what_ordinary_rows_lose(loss: Loss, d: int) -> None:
     r = np.random.default_rng(0).normal(size=(400_000, d))
     square = np.mean(r**2, axis=1)
     assert np.mean(scatter_weight(loss, np.sqrt(square)) * square) == pytest.approx(shrinkage(loss, d), rel=0.01)
+
+
+def test_rows_that_weigh_less_beside_stated_priors_come_to_rest() -> None:
+    """Where no step helps while rows are weighted as before, they are weighted by what they leave at the last point."""
+    made = touching.lab(4, noise=3e-5, base=machines.pose((0.8, -0.4, 0.2), (0.1, 0.2, -1.2)))
+    data = [made.positions(30), made.sockets(11)]
+    priors = calib.Priors(length=1.8e-3, angle=1.5e-3)
+    model = calib.error_model(made.robot, offsets="all", placements="all", priors=priors)
+    fit = calib.identify(model, data, losses=["linear", "huber"])
+    assert (fit.converged, fit.narrowed) == (True, 1.0)

@@ -188,3 +188,19 @@ def test_points_of_rows_that_are_about_more_are_refused(kind: str) -> None:
         MeasurementError, match=rf"column 'point_z' .* observes = '{kind}' has no such point; leave it out"
     ):
         calib.read_measurements(rows, robot, kind, instrument=camera)
+
+
+def test_the_nominal_robot_is_judged_with_the_turn_of_its_tool() -> None:
+    """Positions alone do not turn a tool, and points beside it do: the fit without errors of the arm must have it."""
+    cell = Cell()
+    q, seen = cell.arm.draw(cell.rng, 40), cell.rng.uniform(-0.1, 0.1, (40, 3))
+    there = np.einsum("nij,nj->ni", cell.arm.tips(q) @ SENSOR, np.column_stack([seen, np.ones(40)]))[:, :3]
+    columns = {f"{name} [rad]": q[:, k] for k, name in enumerate(cell.arm.ranges)} | points(seen)
+    columns |= {f"{axis} [m]": there[:, k] for k, axis in enumerate("xyz")}
+    data = calib.read_measurements(columns, cell.robot, sigma=SIGMA)
+    fit = calib.identify(calib.error_model(cell.robot, offsets="all", placements="all", tool="pose"), data)
+    before = calib.assess(fit).metrics["identification"]["before"]["position"].rms
+    # Errors of the arm make millimetres; a tool of another turn, a decimetre.
+    assert before < 4e-3
+    turn = Rotation.from_matrix(fit.nominal.frames.tools[0, :3, :3].T @ SENSOR[:3, :3])
+    assert turn.magnitude() < 0.05

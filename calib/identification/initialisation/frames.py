@@ -252,8 +252,8 @@ def initial_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
 def is_fit(sets: Sequence[Measurements]) -> bool:
     """Return whether the start is the least-squares fit of the frames already: of positions that weigh alike it is."""
     data = sets[0]
-    # A clock's start is no least-squares fit.
-    alone = len(sets) == len(data.setups) == 1 and not data.uses
+    # A clock's start is no least-squares fit, nor is that of a tool whose turn only points beside it show.
+    alone = len(sets) == len(data.setups) == 1 and not data.uses and data.points is None
     return alone and data.kind == "position" and len(data) <= _ENOUGH and bool(np.ptp(data.sigma) == 0.0)
 
 
