@@ -71,4 +71,6 @@ def _sides(table: Table, name: str) -> Array:
 def refuse_lacking(robot: Robot, conditions: Conditions, where: str) -> None:
     """Raise MeasurementError where a joint term of the robot needs a condition that rows do not have."""
     if missing := lacking(robot.terms, [reading.name for reading in robot.readings], conditions):
-        raise MeasurementError(f"{where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
+        needs = f"there is no column {missing[1]!r}, which {missing[0]} needs"
+        otherwise = "; rows in the order of measurement tell it, too: say in_order" if APPROACH in missing[1] else ""
+        raise MeasurementError(f"{where}: {needs}{otherwise}.")
