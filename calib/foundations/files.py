@@ -141,16 +141,17 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def refuse_taken(*paths: Path | None) -> None:
+def refuse_taken(*paths: Path | None, with_parents: bool = False) -> None:
     """Raise OutputError when something, be it a link that leads nowhere, has the name of a file that is to be new.
 
-    Also when there is no folder for it, before work is done for it. None stands for a file that is not asked for.
+    Also when there is no folder for it, before work is done for it; not where it is made ``with_parents``. None stands
+    for a file that is not asked for.
     """
     for path in paths:
         # What hides from this user, or has no name that a file can have, the attempt to write it finds out.
         if path is not None and os.path.lexists(path):
             raise OutputError(f"{path}: already exists; choose another name.")
-        if path is not None and not os.path.lexists(path.parent):
+        if path is not None and not with_parents and not os.path.lexists(path.parent):
             raise OutputError(f"{path}: cannot be written ({os.strerror(errno.ENOENT)}).")
 
 

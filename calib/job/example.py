@@ -34,7 +34,7 @@ def copy_example(folder: Path) -> tuple[Path, Path, Path]:
 
     Raises OutputError when there is anything of that name already, or no folder can be made there.
     """
-    refuse_taken(folder)
+    refuse_taken(folder, with_parents=True)
     meant = real_folder(folder)
     refuse_unwritable(meant)
     source = example_folder()

@@ -280,7 +280,7 @@ def test_a_chessboard_needs_no_opencv(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("--squares", "7"), "--squares: '7' is not two whole numbers, like 7x5"),
+        (("--squares", "7"), "--squares: '7' is not two whole numbers below 1000, like 7x5"),
         (("--square", "30"), "--square: '30' has no unit"),
         (("--kind", "circles"), "--kind: 'circles' is not charuco or chessboard"),
         (("--kind", "chessboard"), "of 7 x 5 squares looks the same upside down"),
