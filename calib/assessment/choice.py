@@ -522,7 +522,9 @@ class _System:
         )
         self._problem = replace(whole, parameters=parameters, reference=frames, held=held, given_losses=given)
         self._x = values_at(full.robot, parameters, frames, held)
-        self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
+        self._sigmas = sigmas_of(
+            self._problem, [noise.model**2 for noise in geometric.noise_by_rows], geometric.residuals
+        )
         self._kept: tuple[tuple[int, slice, Array, Array], ...] | None = None
         self._looked_at = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
         self._numbers = sum(data.sigma[own].size for data, own in zip(sets, self._looked_at, strict=True))

@@ -36,6 +36,8 @@ _SEEN = 1e-6
 # The share of all numbers that are left beside parameters, change and values; else fewer directions are tried, though
 # not fewer than these.
 _LEFT, _FEWEST = 1.0 / 3.0, 6
+# How often it is drawn what chance leaves of few poses.
+_DRAWS = 10
 
 
 class MixedMachines(NamedTuple):
@@ -71,22 +73,37 @@ def _told(search: "_Search") -> Iterator[MixedMachines]:
     n, left = search.n, search.numbers - search.used
     most = int(search.numbers * (1.0 - _LEFT)) - search.values - search.used
     before = float(search.r @ search.r) / max(left, 1)
-    if most < _FEWEST or before <= search.least:
+    if before <= search.least:
+        return
+    if most < _FEWEST:
+        if search.poses:
+            yield from _of_few_poses(search)
         return
     search = replace(search, D=search.D[:, :most])
-    k = search.D.shape[1]
-    # Begun with a value for every row, whatever it is, and those that leave least.
-    starts = (np.sum((search.D[:, j] * search.r).reshape(n, -1), axis=1) for j in range(min(_STARTS, k)))
-    begun = sorted((search.ended(start, n) for start in starts), key=lambda one: one.left)[:_TRIED]
-    for machines in range(2, _MOST_MACHINES + 1):
-        best = min((search.ended(one.values, machines) for one in begun), key=lambda one: one.left)
-        after = max(best.left / (left - k - search.values), search.least)
-        values = best.values - best.values.mean()
-        far = np.sqrt(np.mean(np.sum((values[:, None] * best.change.reshape(n, -1)) ** 2, axis=1)))
-        largest = np.unique(best.values, return_counts=True)[1].max()
-        yield MixedMachines(
-            machines, float(np.sqrt(before / after)), 2.0 * float(far) / search.metre, 1.0 - float(largest) / n
-        )
+    for machines, best in search.apart().items():
+        after = max(best.left / (left - search.D.shape[1] - search.values), search.least)
+        yield best.told(n, machines, float(np.sqrt(before / after)), search.metre)
+
+
+def _of_few_poses(search: "_Search") -> Iterator[MixedMachines]:
+    """Yield what becomes of poses that are too few for a value of each: as many times less as chance does not leave.
+
+    What values and change take of noise is not counted, but drawn: the search is made of noise in the place of the
+    residuals as well, by few directions.
+    """
+    most = min(_FEWEST, (search.numbers - search.used) // 3)
+    if most < 1:
+        return
+    search, rng = replace(search, D=search.D[:, :most]), np.random.default_rng(0)
+    found = search.apart()
+    chance = dict.fromkeys(found, 0.0)
+    for _ in range(_DRAWS):
+        noise = rng.standard_normal(len(search.r))
+        drawn = replace(search, r=noise - search.Q @ (search.Q.T @ noise))
+        for machines, best in drawn.apart().items():
+            chance[machines] += drawn.times(best) / _DRAWS
+    for machines, best in found.items():
+        yield best.told(search.n, machines, search.times(best) / chance[machines], search.metre)
 
 
 def _among_rows(parts: Sequence[Stretch]) -> "_Search":
@@ -99,7 +116,8 @@ def _among_rows(parts: Sequence[Stretch]) -> "_Search":
     U, s, _ = svd(J, full_matrices=False)
     Q = U[:, s > _SEEN * s.max(initial=0.0)]
     D, used = _directions(np.hstack([moved, J])), Q.shape[1]
-    return _Search(r - Q @ (Q.T @ r), D, Q, n, n * d, used, n, per_metre(parts), _least(parts))
+    poses = any(part.repeats for part in parts)
+    return _Search(r - Q @ (Q.T @ r), D, Q, n, n * d, used, n, per_metre(parts), _least(parts), poses)
 
 
 def _as_poses(part: Stretch) -> Stretch:
@@ -148,6 +166,13 @@ class _ToldApart(NamedTuple):
     rest: Array
     left: float
 
+    def told(self, n: int, machines: int, times: float, metre: float) -> MixedMachines:
+        """Return what is found of n rows, told apart into ``machines`` that leave so many ``times`` less."""
+        values = self.values - self.values.mean()
+        far = np.sqrt(np.mean(np.sum((values[:, None] * self.change.reshape(n, -1)) ** 2, axis=1)))
+        largest = np.unique(self.values, return_counts=True)[1].max()
+        return MixedMachines(machines, times, 2.0 * float(far) / metre, 1.0 - float(largest) / n)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Search:
@@ -155,6 +180,7 @@ class _Search:
 
     Q: of the parameters, which take up ``used`` of the ``numbers`` that there are beside what poses have in common, or
     of just that. ``values``: in how many values rows may differ. ``metre`` and ``least`` as of :class:`Stretch`.
+    ``poses``: whether rows are means of poses.
     """
 
     r: Array
@@ -166,6 +192,22 @@ class _Search:
     values: int
     metre: float
     least: float
+    poses: bool = False
+
+    def apart(self) -> dict[int, _ToldApart]:
+        """Return rows told apart into two machines, and into more, by their number."""
+        # Begun with a value for every row, whatever it is, and those that leave least.
+        starts = range(min(_STARTS, self.D.shape[1]))
+        begun = [self.ended(np.sum((self.D[:, j] * self.r).reshape(self.n, -1), axis=1), self.n) for j in starts]
+        begun = sorted(begun, key=lambda one: one.left)[:_TRIED]
+        return {
+            machines: min((self.ended(one.values, machines) for one in begun), key=lambda one: one.left)
+            for machines in range(2, _MOST_MACHINES + 1)
+        }
+
+    def times(self, found: _ToldApart) -> float:
+        """Return how many times less is left, whatever numbers values and change take."""
+        return float(np.sqrt(self.r @ self.r / max(found.left, len(self.r) * self.least)))
 
     def ended(self, values: Array, machines: int) -> _ToldApart:
         """Return rows told apart into so many machines, at most n, beginning with values (n,)."""

@@ -352,7 +352,7 @@ def test_poses_that_are_measured_again_judge_no_model(cell: Cell, poses: int, pa
     data = cell.measured(np.repeat(cell.draw(poses), 5, axis=0))
     wrong = 2e-3 * np.sin(3.0 * data.readings[:, :3])
     fit = calib.identify(cell.model, replace(data, position=data.position + wrong))
-    assert sum(noise.degrees_of_freedom for noise in fit.noise) > 100.0
+    assert sum(noise.degrees_of_freedom for noise in fit.noise_by_rows) > 100.0
     check = of_fit.redundancy(fit)
     assert check.passed == passed
     assert f"{12 * poses} of them at the same poses again" in check.sentence

@@ -36,7 +36,7 @@ def redundancy(fit: Fit) -> Check:
         r.shape[1] * _told_before(data, under_conditions=bool(fit.robot.terms))
         for data, r in zip(fit.measurements, fit.residuals, strict=True)
     )
-    free = sum(noise.degrees_of_freedom for noise in fit.noise) - again
+    free = sum(noise.degrees_of_freedom for noise in fit.noise_by_rows) - again
     said = f"{numbers} numbers were measured, {f'{again} of them at the same poses again, ' if again else ''}"
     said += f"and {max(free, 0.0):.0f} degrees of freedom are left to judge the fit"
     return Check.judged("redundancy", free, FREEDOM, said, f"; at least {FREEDOM:g} are needed.", least=True)
