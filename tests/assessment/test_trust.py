@@ -377,6 +377,16 @@ def test_poses_that_are_measured_again_err_alike(poses: int, moved: float) -> No
     assert by_pose == (3 if moved else 0)
 
 
+def test_a_pose_on_both_sides_of_a_rounding_is_one_pose(cell: Cell) -> None:
+    poses = 20
+    q = np.round(cell.draw(poses), 3) + 5e-4
+    q = np.repeat(q, 5, axis=0) + 1e-5 * cell.rng.standard_normal((5 * poses, q.shape[1]))
+    assert (
+        f"{12 * poses} of them at the same poses again"
+        in of_fit.redundancy(calib.identify(cell.model, cell.measured(q))).sentence
+    )
+
+
 def test_what_is_measured_at_one_pose_in_other_ways_is_no_repetition(cell: Cell) -> None:
     q = np.repeat(cell.draw(10), 2, axis=0)
     both = cell.measured(q)
