@@ -134,7 +134,7 @@ def _with_other_residuals(fit: Fit, rng: np.random.Generator) -> list[Measuremen
     sets = []
     for i, (data, r) in enumerate(zip(fit.measurements, fit.residuals, strict=True)):
         wide = r.copy()
-        for noise in fit.noise:
+        for noise in fit.noise_by_rows:
             if noise.measurements == i:
                 columns = next(q.columns for q in QUANTITIES[data.kind] if q.name == noise.quantity)
                 wide[:, columns] *= np.sqrt(r[:, columns].size / max(noise.degrees_of_freedom, 1.0))

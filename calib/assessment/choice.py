@@ -27,6 +27,7 @@ import scipy
 from calib.assessment.all_harmonics import AllHarmonics, Known, Offer, better
 from calib.assessment.entering import Blocks, Products, filled
 from calib.assessment.validation import (
+    ChosenRows,
     HeldOut,
     folds,
     held_out,
@@ -238,45 +239,37 @@ def choose_terms(
     measurements with these options, where it is known already. Where poses are in a few places with nothing between
     them, the widths of chosen terms are learned, unless a prior is stated.
     """
-    return choose_terms_like(
-        None,
-        model,
-        measurements,
-        offered=offered,
-        count=count,
-        model_sigmas=model_sigmas,
-        losses=losses,
-        geometric=geometric,
-        progress=progress,
-    )
+    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    rows = ChosenRows(sets, model_sigmas, losses)
+    return choose_from(rows, model, offered=offered, count=count, geometric=geometric, progress=progress)
 
 
-def choose_terms_like(
-    like: Choice | None,
+def choose_from(
+    rows: ChosenRows,
     model: ErrorModel,
-    measurements: Measurements | Sequence[Measurements],
     *,
     offered: Sequence[Candidate] | None = None,
     count: int = FOLDS,
-    model_sigmas: Sequence[float | None] | None = None,
-    losses: Sequence[Loss] | None = None,
     geometric: Fit | None = None,
+    like: Choice | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
     """Choose as :func:`choose_terms` does; the widths of all harmonics are sought near those of a choice by more rows.
 
-    ``like``: that choice, for the same machine, or None.
+    ``like``: that choice, for the same machine.
     """
     with one_thread():
         if geometric is None:
             progress("choosing joint terms: fitting geometry")
-            geometric = identify(with_terms(model, ()), measurements, model_sigmas=model_sigmas, losses=losses)
+            plain = with_terms(model, ())
+            geometric = identify(plain, rows.sets, model_sigmas=rows.model_sigmas, losses=rows.losses)
         sets = geometric.measurements
         group = row_groups(sets)
         looked_at, near = some_rows(sets, group, _ENOUGH_ROWS), neighbourhoods(sets, group, count)
         group, place = (np.unique(numbers[looked_at], return_inverse=True)[1] for numbers in (group, near.number))
         chosen_from = _offered(model, sets) if offered is None else tuple(offered)
-        system = _System(geometric, chosen_from, losses, looked_at, _costs(chosen_from, apart=near.apart), model_sigmas)
+        costs = _costs(chosen_from, apart=near.apart)
+        system = _System(geometric, chosen_from, rows.losses, looked_at, costs, rows.model_sigmas)
         progress("choosing joint terms: linearising")
         fold, blocks = folds(group, count), folds(place, count)
         products = system.products(fold)
@@ -323,24 +316,17 @@ def choose_terms_like(
             for k, figure in enumerate(figures)
         )
         found = Choice(steps, most, geometric, geometric, len(group), len(chosen_from), 0, weighed, harmonics)
-        return _fitted(found, measurements, near.apart, model_sigmas, losses, progress)
+        return _fitted(found, rows, near.apart, progress)
 
 
-def _fitted(
-    choice: Choice,
-    measurements: Measurements | Sequence[Measurements],
-    apart: bool,
-    model_sigmas: Sequence[float | None] | None,
-    losses: Sequence[Loss] | None,
-    progress: Callable[[str], None],
-) -> Choice:
+def _fitted(choice: Choice, rows: ChosenRows, apart: bool, progress: Callable[[str], None]) -> Choice:
     """Return the choice with a fit that converges: with all harmonics, where these are taken, or with fewer steps."""
     geometric, harmonics = choice.geometric, choice.all_harmonics
 
     def fitted(model: ErrorModel, choice: Choice) -> Fit:
         progress(f"choosing joint terms: fitting {len(choice.terms)} coefficients")
         chosen = with_terms(model, choice.terms)
-        return identify_near(geometric, chosen, measurements, model_sigmas=model_sigmas, losses=losses)
+        return identify_near(geometric, chosen, rows.sets, model_sigmas=rows.model_sigmas, losses=rows.losses)
 
     if harmonics is not None and harmonics.taken:
         learning = replace(geometric.model, priors=replace(geometric.model.priors, harmonics="learned"))
@@ -522,7 +508,9 @@ class _System:
         )
         self._problem = replace(whole, parameters=parameters, reference=frames, held=held, given_losses=given)
         self._x = values_at(full.robot, parameters, frames, held)
-        self._sigmas = sigmas_of(self._problem, [noise.model**2 for noise in geometric.noise], geometric.residuals)
+        self._sigmas = sigmas_of(
+            self._problem, [noise.model**2 for noise in geometric.noise_by_rows], geometric.residuals
+        )
         self._kept: tuple[tuple[int, slice, Array, Array], ...] | None = None
         self._looked_at = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
         self._numbers = sum(data.sigma[own].size for data, own in zip(sets, self._looked_at, strict=True))

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from calib.assessment.choice import Choice, choose_terms_like
+from calib.assessment.choice import Choice, choose_from
 from calib.assessment.validation import (
     ChosenRows,
     CrossValidation,
@@ -261,8 +261,7 @@ def _finder(
         progress(*next(told))
         if choosing:
             known, here = geometries.pop(0) if geometries else None, model.within(rows.sets)
-            sigmas, losses = rows.model_sigmas, rows.losses
-            choice = choose_terms_like(by_all, here, rows.sets, model_sigmas=sigmas, losses=losses, geometric=known)
+            choice = choose_from(rows, here, geometric=known, like=by_all)
             by_all = by_all or choice
             return choice.fit
         fit = rows.fit(model, near=whole)

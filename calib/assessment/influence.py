@@ -112,7 +112,7 @@ class Residue:
             for i, (own, r, sigma, loss) in enumerate(zip(w, fit.residuals, plain, fit.losses, strict=True))
         ]
         freedom = [
-            sum(noise.degrees_of_freedom for noise in fit.noise if noise.measurements == i)
+            sum(noise.degrees_of_freedom for noise in fit.noise_by_rows if noise.measurements == i)
             for i in range(len(fit.measurements))
         ]
         units = scales(fit.parameters)

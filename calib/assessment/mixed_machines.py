@@ -6,18 +6,23 @@ for the other (H. Spaeth, *Algorithm 39: clusterwise linear regression*, Computi
 value for every row and a change always explain something: where there is but one machine, no more than the degrees of
 freedom they take. An effect that varies steadily, as of one gear that wobbles, is cut into K parts, which leaves K
 times less; only rows of K machines leave far less than that. Of photographs whose rows err together, each is one row.
+
+Rows of one pose that err together are looked at twice. Their means are of different machines where poses are; by what
+they differ from these, rows of one pose are, of which nothing that a model leaves out makes several.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from calib.assessment.effects import per_metre, score_test
-from calib.assessment.stretches import Stretch, by_photograph
+from calib.assessment.stretches import Stretch, as_means, by_photograph
 from calib.foundations.arrays import Array
 from calib.foundations.linear import svd
+from calib.measurement.kinds import QUANTITIES
 
 # Of more rows so many are looked at, spread evenly.
 _MOST_ROWS = 300
@@ -31,6 +36,8 @@ _SEEN = 1e-6
 # The share of all numbers that are left beside parameters, change and values; else fewer directions are tried, though
 # not fewer than these.
 _LEFT, _FEWEST = 1.0 / 3.0, 6
+# How often it is drawn what chance leaves of few poses.
+_DRAWS = 10
 
 
 class MixedMachines(NamedTuple):
@@ -54,39 +61,95 @@ def mixed_machines(parts: Sequence[Stretch]) -> tuple[MixedMachines, ...]:
     """Return what becomes of the residuals of all parts where rows are taken to be of two machines, or more."""
     own = [by_photograph(part) for part in parts]
     usable = [part for part in own if part.data.other is None and part.r.shape[1] == own[0].r.shape[1]]
-    if not usable:
-        return (ONE_MACHINE,)
-    every = np.concatenate([part.r for part in usable])
+    again = [part for part in usable if part.repeats]
+    found = list(_told(_among_rows([_as_poses(part) if part.repeats else part for part in usable]))) if usable else []
+    if again:
+        found += _told(_within_poses(again))
+    return tuple(found) or (ONE_MACHINE,)
+
+
+def _told(search: "_Search") -> Iterator[MixedMachines]:
+    """Yield what becomes of the rows for every number of machines, nothing where they are too few."""
+    n, left = search.n, search.numbers - search.used
+    most = int(search.numbers * (1.0 - _LEFT)) - search.values - search.used
+    before = float(search.r @ search.r) / max(left, 1)
+    if before <= search.least:
+        return
+    if most < _FEWEST:
+        if search.poses:
+            yield from _of_few_poses(search)
+        return
+    search = replace(search, D=search.D[:, :most])
+    for machines, best in search.apart().items():
+        after = max(best.left / (left - search.D.shape[1] - search.values), search.least)
+        yield best.told(n, machines, float(np.sqrt(before / after)), search.metre)
+
+
+def _of_few_poses(search: "_Search") -> Iterator[MixedMachines]:
+    """Yield what becomes of poses that are too few for a value of each: as many times less as chance does not leave.
+
+    What values and change take of noise is not counted, but drawn: the search is made of noise in the place of the
+    residuals as well, by few directions.
+    """
+    most = min(_FEWEST, (search.numbers - search.used) // 3)
+    if most < 1:
+        return
+    search, rng = replace(search, D=search.D[:, :most]), np.random.default_rng(0)
+    found = search.apart()
+    chance = dict.fromkeys(found, 0.0)
+    for _ in range(_DRAWS):
+        noise = rng.standard_normal(len(search.r))
+        drawn = replace(search, r=noise - search.Q @ (search.Q.T @ noise))
+        for machines, best in drawn.apart().items():
+            chance[machines] += drawn.times(best) / _DRAWS
+    for machines, best in found.items():
+        yield best.told(search.n, machines, search.times(best) / chance[machines], search.metre)
+
+
+def _among_rows(parts: Sequence[Stretch]) -> "_Search":
+    """Return the search among rows, of very many some, clear of what parameters take up."""
+    every = np.concatenate([part.r for part in parts])
     rows = np.unique(np.linspace(0, len(every) - 1, _MOST_ROWS).astype(np.intp))
     (n, d), r = (len(rows), every.shape[1]), every[rows].ravel()
-    J = np.concatenate([part.J for part in usable])[rows].reshape(n * d, -1)
-    moved = np.concatenate([part.by_joint for part in usable])[rows].reshape(n * d, -1)
+    J = np.concatenate([part.J for part in parts])[rows].reshape(n * d, -1)
+    moved = np.concatenate([part.by_joint for part in parts])[rows].reshape(n * d, -1)
     U, s, _ = svd(J, full_matrices=False)
     Q = U[:, s > _SEEN * s.max(initial=0.0)]
-    r = r - Q @ (Q.T @ r)
-    most = int(n * d * (1.0 - _LEFT)) - n - Q.shape[1]
-    least = max(part.least for part in usable)
-    before = float(r @ r) / max(n * d - Q.shape[1], 1)
-    if most < _FEWEST or before <= least:
-        return (ONE_MACHINE,)
-    D = _directions(np.hstack([moved, J]))[:, :most]
-    search = _Search(r, D, Q, n)
-    # Begun with a value for every row, whatever it is, and those that leave least.
-    begun = [search.ended(np.sum((D[:, j] * r).reshape(n, d), axis=1), n) for j in range(min(_STARTS, D.shape[1]))]
-    begun = sorted(begun, key=lambda one: one.left)[:_TRIED]
-    metre = per_metre(usable)
+    D, used = _directions(np.hstack([moved, J])), Q.shape[1]
+    poses = any(part.repeats for part in parts)
+    return _Search(r - Q @ (Q.T @ r), D, Q, n, n * d, used, n, per_metre(parts), _least(parts), poses)
 
-    def told(machines: int) -> MixedMachines:
-        best = min((search.ended(one.values, machines) for one in begun), key=lambda one: one.left)
-        after = max(best.left / (n * d - Q.shape[1] - D.shape[1] - n), least)
-        values = best.values - best.values.mean()
-        far = np.sqrt(np.mean(np.sum((values[:, None] * best.change.reshape(n, d)) ** 2, axis=1)))
-        largest = np.unique(best.values, return_counts=True)[1].max()
-        return MixedMachines(
-            machines, float(np.sqrt(before / after)), 2.0 * float(far) / metre, 1.0 - float(largest) / n
-        )
 
-    return tuple(told(machines) for machines in range(2, _MOST_MACHINES + 1))
+def _as_poses(part: Stretch) -> Stretch:
+    """Return the means of poses in place of rows, all of one noise, however often a pose was measured."""
+    own, many = as_means(part, part.pose), np.bincount(part.pose)
+    share = np.ones((len(many), part.r.shape[1], 1))
+    for told, quantity in itertools.product(part.repeats, QUANTITIES[part.data.kind]):
+        if told.quantity == quantity.name:
+            share[:, quantity.columns, 0] = 1.0 / np.hypot(1.0, np.sqrt(many) * told.common / told.alone)[:, None]
+    r, J, by_joint, by_base = own.r * share[:, :, 0], own.J * share, own.by_joint * share, own.by_base * share
+    return replace(own, r=r, J=J, by_joint=by_joint, by_base=by_base)
+
+
+def _within_poses(parts: Sequence[Stretch]) -> "_Search":
+    """Return the search among rows of repeated poses, of very many some poses, clear of what each has in common."""
+    first = np.cumsum([0, *(int(part.pose.max()) + 1 for part in parts)])
+    pose = np.concatenate([part.pose + start for part, start in zip(parts, first, strict=False)])
+    many = np.bincount(pose)
+    again = np.flatnonzero(many > 1)
+    most = min(len(again), max(1, int(len(again) * _MOST_ROWS / many[again].sum())))
+    rows = np.flatnonzero(np.isin(pose, again[np.linspace(0, len(again) - 1, most).astype(np.intp)]))
+    number = np.unique(pose[rows], return_inverse=True)[1].reshape(-1)
+    r = np.concatenate([part.r for part in parts])[rows]
+    n, d = r.shape
+    D = np.concatenate([np.concatenate([part.by_joint, part.J], axis=2) for part in parts])[rows].reshape(n * d, -1)
+    Q = np.asarray(np.kron(np.eye(most)[number] / np.sqrt(np.bincount(number)), np.eye(d)), dtype=np.float64)
+    clear = r.ravel() - Q @ (Q.T @ r.ravel())
+    return _Search(clear, _directions(D), Q, n, (n - most) * d, 0, n - most, per_metre(parts), _least(parts))
+
+
+def _least(parts: Sequence[Stretch]) -> float:
+    return max(part.least for part in parts)
 
 
 def _directions(D: Array) -> Array:
@@ -103,15 +166,48 @@ class _ToldApart(NamedTuple):
     rest: Array
     left: float
 
+    def told(self, n: int, machines: int, times: float, metre: float) -> MixedMachines:
+        """Return what is found of n rows, told apart into ``machines`` that leave so many ``times`` less."""
+        values = self.values - self.values.mean()
+        far = np.sqrt(np.mean(np.sum((values[:, None] * self.change.reshape(n, -1)) ** 2, axis=1)))
+        largest = np.unique(self.values, return_counts=True)[1].max()
+        return MixedMachines(machines, times, 2.0 * float(far) / metre, 1.0 - float(largest) / n)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Search:
-    """Residuals r (q,) of n rows, clear of the parameters' Q (q, p), and directions D (q, k) of a change."""
+    """Residuals r (q,) of n rows, clear of Q (q, p), and directions D (q, k) of a change.
+
+    Q: of the parameters, which take up ``used`` of the ``numbers`` that there are beside what poses have in common, or
+    of just that. ``values``: in how many values rows may differ. ``metre`` and ``least`` as of :class:`Stretch`.
+    ``poses``: whether rows are means of poses.
+    """
 
     r: Array
     D: Array
     Q: Array
     n: int
+    numbers: int
+    used: int
+    values: int
+    metre: float
+    least: float
+    poses: bool = False
+
+    def apart(self) -> dict[int, _ToldApart]:
+        """Return rows told apart into two machines, and into more, by their number."""
+        # Begun with a value for every row, whatever it is, and those that leave least.
+        starts = range(min(_STARTS, self.D.shape[1]))
+        begun = [self.ended(np.sum((self.D[:, j] * self.r).reshape(self.n, -1), axis=1), self.n) for j in starts]
+        begun = sorted(begun, key=lambda one: one.left)[:_TRIED]
+        return {
+            machines: min((self.ended(one.values, machines) for one in begun), key=lambda one: one.left)
+            for machines in range(2, _MOST_MACHINES + 1)
+        }
+
+    def times(self, found: _ToldApart) -> float:
+        """Return how many times less is left, whatever numbers values and change take."""
+        return float(np.sqrt(self.r @ self.r / max(found.left, len(self.r) * self.least)))
 
     def ended(self, values: Array, machines: int) -> _ToldApart:
         """Return rows told apart into so many machines, at most n, beginning with values (n,)."""

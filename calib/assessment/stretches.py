@@ -7,11 +7,12 @@ import numpy as np
 from calib.assessment.influence import Residue
 from calib.foundations.arrays import Array, IntArray
 from calib.identification.parameters import scales
+from calib.identification.repeats import Repeats, by_pose
 from calib.identification.system import Problem
 from calib.identification.together import Together
 from calib.measurement.kinds import WITH_TARGET
 from calib.measurement.measurements import Measurements
-from calib.measurement.poses import ONE_POSE, both_ends, things_of
+from calib.measurement.poses import poses_of
 
 # Of larger data so many rows are taken, in runs of neighbours.
 _MOST_ROWS, _RUN = 6000, 100
@@ -30,8 +31,9 @@ class Stretch:
     ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
     motion of the base and of the tool, in m and rad. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
     change from row to row, or in a second where ``step``, the time in s between rows, is known; else that is nan.
-    ``row`` (n,): number in the set. ``used``: how many of the numbers the parameters take up. ``least``: variance of r
-    that is rounding. ``together``: how its photographs err, where their rows err together.
+    ``row`` (n,): number in the set; ``pose`` (n,): that of its pose. ``used``: how many of the numbers the parameters
+    take up. ``least``: variance of r that is rounding. ``together``: how its photographs err, where their rows err
+    together; ``repeats``: how rows of one pose err, of every quantity where these do.
     """
 
     r: Array
@@ -45,10 +47,12 @@ class Stretch:
     rates: Array
     row: Array
     step: float
+    pose: IntArray
     data: Measurements
     used: float
     least: float
     together: Together | None = None
+    repeats: tuple[Repeats, ...] = ()
 
 
 def stretches(residue: Residue) -> tuple[Stretch, ...]:
@@ -98,10 +102,12 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 rates[rows][:, column],
                 rows.astype(np.float64),
                 step,
+                poses_of(part, pieces=True),
                 data,
                 float(np.sum((J @ residue.C) * J)),
                 (_ROUNDING / float(residue.sigma[i].min())) ** 2,
                 together,
+                tuple(told for told in fit.repeats if told.measurements == i),
             )
         )
     return tuple(found)
@@ -126,6 +132,7 @@ def by_photograph(part: Stretch) -> Stretch:
         values=part.values[first],
         rates=part.rates[first],
         row=part.row[first],
+        pose=np.arange(len(first)),
         together=None,
     )
 
@@ -136,43 +143,37 @@ def pose_by_pose(part: Stretch, C: Array) -> Stretch:
     What a model leaves is the same in all of them: as rows of their own they would make chance of it impossible. ``C``:
     the covariance of the parameters.
     """
-    data, rows = part.data, part.row.astype(np.intp)
-    if data.stream is not None or data.kind == "pixels" or data.points is not None:
+    first = np.flatnonzero(np.diff(part.pose, prepend=-1))
+    if len(first) == len(part.pose):
         return part
-    first = _first_of_poses(both_ends(data)[rows], things_of(data)[rows])
-    if len(first) == len(rows):
-        return part
-    many = np.diff(np.append(first, len(rows)))
+    run = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(part.pose))))
+    found = as_means(part, run)
+    return replace(found, used=float(np.sum((found.J @ C) * found.J)))
+
+
+def as_means(part: Stretch, number: IntArray) -> Stretch:
+    """Return the rows of each ``number`` (n,), from 0, as one: their mean, times the root of how many they are."""
+    many = np.bincount(number)
 
     def mean(x: Array) -> Array:
-        return np.asarray(np.add.reduceat(x, first, axis=0) / many.reshape(-1, *[1] * (x.ndim - 1)))
+        return np.asarray(by_pose(x, number)[0] / many.reshape(-1, *[1] * (x.ndim - 1)))
 
     def as_one(x: Array) -> Array:
-        return mean(x) * np.sqrt(many).reshape(-1, *[1] * (x.ndim - 1))
+        return np.asarray(mean(x) * np.sqrt(many).reshape(-1, *[1] * (x.ndim - 1)))
 
-    J = as_one(part.J)
+    last = len(number) - 1 - np.unique(number[::-1], return_index=True)[1]
     return replace(
         part,
         r=as_one(part.r),
-        J=J,
+        J=as_one(part.J),
         by_joint=as_one(part.by_joint),
         by_base=as_one(part.by_base),
         by_tool=as_one(part.by_tool),
         values=mean(part.values),
         rates=mean(part.rates),
-        row=part.row[first + many - 1],
-        used=float(np.sum((J @ C) * J)),
+        row=part.row[last],
+        pose=part.pose[last],
     )
-
-
-def _first_of_poses(readings: Array, whose: IntArray) -> IntArray:
-    """Return the first row of every run of rows with the same readings (n, k), and the same ``whose`` (n, m)."""
-    first = [0] if len(readings) else []
-    for k in range(1, len(readings)):
-        at = first[-1]
-        if np.any(whose[k] != whose[at]) or np.abs(readings[k] - readings[at]).max() > ONE_POSE:
-            first.append(k)
-    return np.array(first, dtype=np.intp)
 
 
 def _rates(data: Measurements, scalars: Array) -> tuple[Array, float]:

@@ -43,6 +43,8 @@ class Fit:
     orthonormal in their scales, with the targets that follow, priors counted as data.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
+    ``noise``: of one row; where rows of a pose err together, poses are counted. ``noise_by_rows``: by which rows were
+    weighed, as if all of them erred alone.
     ``losses``: of every set. ``learned``: the learned priors, which the parameters also have as their own.
     ``step``: the last step, in parameter scales; ``evaluations``: how often residuals and Jacobian were computed.
     ``narrowed``: by which factor the weak priors were narrower than usual; 1 if the search did not need it.
@@ -66,6 +68,7 @@ class Fit:
     policy: NullSpacePolicy
     held: tuple[Parameter, ...]
     noise: tuple[Noise, ...]
+    noise_by_rows: tuple[Noise, ...]
     losses: tuple[Loss, ...]
     machine: Machine
     nominal: Machine
@@ -92,7 +95,9 @@ class Fit:
     def variances(self) -> list[float]:
         """Of every component, the variance of a row by itself beyond the instrument's, in m^2, rad^2 or px^2."""
         return variances_of(
-            [noise.model for noise in self.noise], [noise.measurements for noise in self.noise], self.together
+            [noise.model for noise in self.noise_by_rows],
+            [noise.measurements for noise in self.noise_by_rows],
+            self.together,
         )
 
     @property

@@ -26,6 +26,7 @@ from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.memory import with_memory
 from calib.identification.noise import Noise, noise_of
 from calib.identification.parameters import Parameter, scales
+from calib.identification.repeats import Repeats
 from calib.identification.rows import photograph_numbers
 from calib.identification.solver import Near, Solution, solution_at, solve
 from calib.identification.system import Problem, residuals, with_twists
@@ -178,6 +179,7 @@ def _identify(
     spread_out = _with_common(problem, found.variances)
     sigmas = weights.sigmas_of(plain, spread_out, after)
     spread, memories, repeats = with_memory(replace(problem, together=()), found.x, sigmas, after, found.spread)
+    noise = _noise(problem, found._replace(variances=spread_out), after)
     return Fit(
         model=model,
         measurements=tuple(data.at_clock(machine.frames.scalars) for data in sets),
@@ -193,7 +195,8 @@ def _identify(
         null_basis=read_only(found.null_basis),
         policy=null_space,
         held=held,
-        noise=_noise(problem, found._replace(variances=spread_out), after),
+        noise=_by_poses(problem, noise, repeats),
+        noise_by_rows=noise,
         losses=problem.losses,
         machine=machine,
         nominal=nominal,
@@ -427,6 +430,17 @@ def _noise(problem: Problem, found: Solution, after: Sequence[Array]) -> tuple[N
     )
 
 
+def _by_poses(problem: Problem, noise: Sequence[Noise], repeats: Sequence[Repeats]) -> tuple[Noise, ...]:
+    """Return the noise of every component as poses tell it, where rows of a pose err together."""
+    told = {(one.measurements, one.quantity): one for one in repeats}
+    found = []
+    for component, own in zip(problem.components, noise, strict=True):
+        one = told.get((own.measurements, own.quantity))
+        size = component.columns.stop - component.columns.start
+        found.append(own if one is None else own.by_poses(one.alone, one.common, size * (one.rows - one.poses)))
+    return tuple(found)
+
+
 def residuals_of(fit: Fit, measurements: Sequence[Measurements], machine: Machine) -> tuple[Array, ...]:
     """Return residuals (N, d) of other measurements, in SI units, for a machine of the fit.
 
@@ -464,6 +478,7 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
         x = values_at(fit.model.robot, fit.parameters, frames, machine.deviations)
         found = solution_at(problem, x)
     after = residuals(fit.model.robot, fit.measurements, machine)
+    noise = _noise(problem, found, after)
     return replace(
         fit,
         values=read_only(values),
@@ -475,7 +490,8 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
         spectrum=found.spectrum,
         unidentifiable=read_only_view(found.unidentifiable),
         null_basis=read_only(found.null_basis),
-        noise=_noise(problem, found, after),
+        noise=_by_poses(problem, noise, fit.repeats),
+        noise_by_rows=noise,
         machine=machine,
         residuals=tuple(read_only(r) for r in after),
         narrowed=found.narrowed,

@@ -5,7 +5,7 @@ instrument's: ``sigma^2 = instrument^2 + model^2``. The model part is estimated 
 set of measurements) by restricted maximum likelihood, so that the parameters the fit has used up are accounted for.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -38,6 +38,19 @@ class Noise:
     def total(self) -> float:
         """Standard deviation of one residual component, in m, rad or px."""
         return float(np.hypot(self.instrument, self.model))
+
+    def by_poses(self, alone: float, common: float, again: int) -> "Noise":
+        """Return it where rows err by ``alone``, and all rows of a pose by ``common``, in units of the noise.
+
+        ``again``: how many of the numbers are of poses that other rows tell of already.
+        """
+        whole = alone**2 + common**2
+        return replace(
+            self,
+            model=float(np.sqrt(max(whole - self.instrument**2, 0.0))),
+            degrees_of_freedom=max(self.degrees_of_freedom - again, 1.0),
+            chi_square=float("nan") if np.isnan(self.chi_square) else whole / self.instrument**2,
+        )
 
 
 def noise_of(

@@ -198,7 +198,7 @@ def _levels(fit: Fit, problem: Problem) -> list[_Level]:
     """Return the levels of all components, in their order."""
     told = {(one.measurements, one.quantity): one for one in fit.repeats}
     found = []
-    for c, (component, noise) in enumerate(zip(problem.components, fit.noise, strict=True)):
+    for c, (component, noise) in enumerate(zip(problem.components, fit.noise_by_rows, strict=True)):
         one = told.get((component.measurements, component.quantity))
         if one is None:
             found.append(_Level(c, noise.degrees_of_freedom))

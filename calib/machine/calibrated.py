@@ -368,7 +368,9 @@ def _beyond(variance: float, noise: Noise) -> float:
 
 
 def _level(fit: Fit, errors: ErrorsByCause, unit: str) -> NoiseLevel | None:
-    noises = [replace(noise, degrees_of_freedom=own) for noise, own in zip(fit.noise, errors.freedom, strict=True)]
+    noises = [
+        replace(noise, degrees_of_freedom=own) for noise, own in zip(fit.noise_by_rows, errors.freedom, strict=True)
+    ]
     every = zip(noises, errors.noise, errors.repeated, strict=True)
     parts = [one for one in every if UNIT_OF[one[0].quantity] == unit]
     freedom = np.array([noise.degrees_of_freedom for noise, _, _ in parts])

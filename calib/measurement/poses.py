@@ -1,5 +1,7 @@
 """Which rows are of one pose, visited again."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calib.foundations.arrays import Array, IntArray
@@ -22,22 +24,40 @@ def things_of(data: Measurements) -> IntArray:
     return np.column_stack([data.target, data.setup, *(end.tool for end in data.ends)])
 
 
-def poses_of(data: Measurements) -> IntArray:
+def poses_of(data: Measurements, *, pieces: bool = False) -> IntArray:
     """Return the number (N,) of every row's pose, from 0: rows that measure one thing at the same readings share it.
 
-    It does not matter in which order rows are. Rows of streams, of photographs and of points have poses of their own.
+    It does not matter in which order rows are. Rows of streams, of photographs and of points have poses of their own;
+    so have rows of a path, of which each is near to the next, unless it is cut into ``pieces`` as wide as a pose.
+    """
+    if data.stream is not None or data.kind == "pixels" or data.points is not None:
+        return np.arange(len(data))
+    return same_pose(data, pieces=pieces)
+
+
+def same_pose(data: Measurements, others: Sequence[Array] = (), *, pieces: bool = False) -> IntArray:
+    """Return the number (N,) of every row's pose, from 0, whatever the rows are.
+
+    ``others`` (N, k): what else must be equal in the rows of a pose. ``pieces``: see :func:`poses_of`.
     """
     n = len(data)
-    if n < 2 or data.stream is not None or data.kind == "pixels" or data.points is not None:
+    if n < 2:
         return np.arange(n)
-    readings = both_ends(data) / ONE_POSE
-    number = _without_gaps(np.column_stack([things_of(data).astype(np.float64) * 2.0, readings]))
+    readings, apart = both_ends(data) / ONE_POSE, np.column_stack([things_of(data), *others])
+    number = _without_gaps(np.column_stack([_numbered(apart) * 2.0, readings]))
     order = np.argsort(number, kind="stable")
     first = np.flatnonzero(np.diff(number[order], prepend=-1))
-    apart = np.maximum.reduceat(readings[order], first) - np.minimum.reduceat(readings[order], first)
-    path = (apart.max(axis=1) > _WIDEST)[number]
-    number = np.where(path, len(first) + np.arange(n), number)
-    return np.asarray(np.unique(number, return_inverse=True)[1].ravel(), dtype=np.intp)
+    wide = np.maximum.reduceat(readings[order], first) - np.minimum.reduceat(readings[order], first)
+    path = (wide.max(axis=1) > _WIDEST)[number]
+    if pieces:
+        cells = np.where(path[:, None], np.round(readings), 0.0)
+        return _numbered(np.column_stack([number, cells]))
+    return _numbered(np.where(path, len(first) + np.arange(n), number)[:, None])
+
+
+def _numbered(rows: Array) -> IntArray:
+    """Return a number (N,), from 0, of every row (N, k) that is the same for equal ones."""
+    return np.asarray(np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1), dtype=np.intp)
 
 
 def _without_gaps(at: Array) -> IntArray:

@@ -166,13 +166,13 @@ def test_joint_terms_are_chosen_without_the_rows_they_are_judged_by(monkeypatch:
     data = measured(6, 30, placed=False)
     again = data.subset([*range(30), *range(10)])  # ten poses twice
     chose: list[list[int]] = []
-    choose_terms = comparison.choose_terms_like
+    choose = comparison.choose_from
 
-    def spied(like: object, model: calib.ErrorModel, sets: list[calib.Measurements], **options: object) -> object:
-        chose.append(sorted(sets[0].lines.tolist()))
-        return choose_terms(like, model, sets, offered=[], **options)
+    def spied(rows: ChosenRows, model: calib.ErrorModel, **options: object) -> object:
+        chose.append(sorted(rows.sets[0].lines.tolist()))
+        return choose(rows, model, offered=[], **options)
 
-    monkeypatch.setattr(comparison, "choose_terms_like", spied)
+    monkeypatch.setattr(comparison, "choose_from", spied)
     model = calib.error_model(machines.load(*UR10), offsets="all")
     compare_models({"with terms": model}, again, scheme=3, choose=["with terms"])
     everything = sorted(again.lines.tolist())

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.assessment.checks import of_rows
 from calib.assessment.influence import Residue
 from calib.assessment.mixed_machines import ONE_MACHINE, MixedMachines, mixed_machines
 from calib.assessment.stretches import stretches
@@ -14,12 +15,12 @@ UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 SIGMA = 5e-5
 
 
-def fitted(rng: np.random.Generator, rows: int, droop: Array, kind: str = "position") -> calib.Fit:
-    """A fit to rows (N, nr) whose readings are off by ``droop`` (N, 1 or nr), which nobody tells."""
+def fitted(rng: np.random.Generator, rows: int | Array, droop: Array) -> calib.Fit:
+    """A fit to so many rows, or to readings (N, nr), that are off by ``droop`` (N, 1 or nr), which nobody tells."""
     robot, arm = machines.load(*UR10), machines.arm(*UR10)
     true = Machine(arm.moved(rng), anywhere(rng), {"tool": pose((0.05, 0.02, 0.15), (0.3, -0.2, 0.4))})
-    q = arm.draw(rng, rows)
-    seen = true.see(q + droop)[:, :3, 3] + SIGMA * rng.standard_normal((rows, 3))
+    q = arm.draw(rng, rows) if isinstance(rows, int) else rows
+    seen = true.see(q + droop)[:, :3, 3] + SIGMA * rng.standard_normal((len(q), 3))
     columns = {f"{r.name} [rad]": q[:, k] for k, r in enumerate(robot.readings)}
     columns |= {f"{axis} [m]": seen[:, k] for k, axis in enumerate("xyz")}
     model = machines.model(robot, offsets="all", placements="all", tool="position")
@@ -69,6 +70,41 @@ def test_rows_of_one_machine_are_left_alone() -> None:
         # Harmonics of gears are in all rows.
         off = 2e-3 * np.sin(rng.uniform(1.0, 6.0, 6) * rng.uniform(-2.0, 2.0, (60, 6)))
         assert told_apart(fitted(rng, 60, off)).times < 1.5
+
+
+def repeated(seed: int, poses: int, again: int, mixed: str = "none", by: float = 1e-2) -> calib.Fit:
+    """A fit to poses measured again and again, with gears that wobble. Of the rows of two machines, those of a pose
+
+    are of one where "poses" are mixed, and of both where "rows" are.
+    """
+    rng = np.random.default_rng(seed)
+    q = np.repeat(machines.arm(*UR10).draw(rng, poses), again, axis=0)
+    of = {
+        "none": np.zeros(len(q)),
+        "poses": np.repeat(rng.random(poses) < 0.5, again),
+        "rows": rng.random(len(q)) < 0.4,
+    }
+    off = 1e-3 * np.sin(3.0 * q + np.arange(6)) + by * of[mixed][:, None] * np.array([0, 1.0, 0.5, 0, 0, 0])
+    return fitted(rng, q, off)
+
+
+def judged(fit: calib.Fit) -> bool:
+    return of_rows.one_machine(mixed_machines(stretches(Residue.of(fit, {}))), fit).passed
+
+
+def test_rows_of_a_pose_that_err_together_are_no_machines_of_their_own() -> None:
+    """Gears that wobble err alike in all rows of a pose: of 14 poses any two machines explain them."""
+    for seed in range(6):
+        fit = repeated(seed, 14, 5)
+        assert fit.repeats
+        assert judged(fit)
+
+
+def test_machines_are_told_apart_within_poses_and_between_them() -> None:
+    """As rows of a pose scatter by another cause than poses do, each is looked at by itself."""
+    for seed in (1, 2):
+        assert not judged(repeated(seed, 20, 5, "rows", 2e-3))
+    assert not judged(repeated(0, 60, 3, "poses"))
 
 
 def test_the_order_of_the_rows_does_not_matter() -> None:

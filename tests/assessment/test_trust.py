@@ -352,7 +352,7 @@ def test_poses_that_are_measured_again_judge_no_model(cell: Cell, poses: int, pa
     data = cell.measured(np.repeat(cell.draw(poses), 5, axis=0))
     wrong = 2e-3 * np.sin(3.0 * data.readings[:, :3])
     fit = calib.identify(cell.model, replace(data, position=data.position + wrong))
-    assert sum(noise.degrees_of_freedom for noise in fit.noise) > 100.0
+    assert sum(noise.degrees_of_freedom for noise in fit.noise_by_rows) > 100.0
     check = of_fit.redundancy(fit)
     assert check.passed == passed
     assert f"{12 * poses} of them at the same poses again" in check.sentence
@@ -375,6 +375,16 @@ def test_poses_that_are_measured_again_err_alike(poses: int, moved: float) -> No
         by_pose += any(step.chance < of_rows.RARELY for step in steps(whole, residue.C))
     assert by_row > 0
     assert by_pose == (3 if moved else 0)
+
+
+def test_a_pose_on_both_sides_of_a_rounding_is_one_pose(cell: Cell) -> None:
+    poses = 20
+    q = np.round(cell.draw(poses), 3) + 5e-4
+    q = np.repeat(q, 5, axis=0) + 1e-5 * cell.rng.standard_normal((5 * poses, q.shape[1]))
+    assert (
+        f"{12 * poses} of them at the same poses again"
+        in of_fit.redundancy(calib.identify(cell.model, cell.measured(q))).sentence
+    )
 
 
 def test_what_is_measured_at_one_pose_in_other_ways_is_no_repetition(cell: Cell) -> None:

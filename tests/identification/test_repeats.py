@@ -145,8 +145,40 @@ def test_gears_that_wobble_make_the_sigmas_of_repeated_poses_larger() -> None:
     machine = machine_of(fit)
     found = tool_uncertainty(machine, new)
     # Of 16 poses as many numbers are left as if each had been measured once.
-    assert found.degrees_of_freedom == pytest.approx(fit.noise[0].degrees_of_freedom - 3 * 64)
+    assert found.degrees_of_freedom == pytest.approx(fit.noise_by_rows[0].degrees_of_freedom - 3 * 64)
     assert np.mean(found.inside(machine.predict(new)[:, :3, 3] - true)) > 0.9
+    # The noise of a row, as poses tell it: what all of a pose have in common is not averaged away.
+    (noise,) = fit.noise
+    assert noise.total == pytest.approx(np.hypot(told.alone, told.common))
+    assert noise.total > 1.2 * fit.noise_by_rows[0].total
+    assert noise.degrees_of_freedom == pytest.approx(found.degrees_of_freedom)
+    assert noise.chi_square == pytest.approx((noise.total / SIGMA) ** 2)
+    # By which rows are weighed has not changed: what is not repeated is as before, to the bit.
+    once = fitted(measured(4, 60, 1, waves=4e-4)[0])
+    assert once.noise == once.noise_by_rows
+
+
+def test_a_path_is_cut_into_pieces_as_wide_as_a_pose() -> None:
+    path = np.linspace(0.0, 1.0, 2001)[:, None] * np.ones(6)
+    number = poses_of(table(path), pieces=True)
+    assert 900 < number.max() < 1100
+    assert np.all(np.diff(number) >= 0)
+
+
+def test_the_noise_of_a_row_is_what_many_poses_would_tell() -> None:
+    by_rows, by_poses = (
+        np.sqrt(np.mean([noise.total**2 for noise in of]))
+        for of in zip(
+            *(
+                (fit.noise_by_rows[0], fit.noise[0])
+                for fit in (fitted(measured(seed, 14, 5, waves=4e-4)[0]) for seed in range(8))
+            ),
+            strict=True,
+        )
+    )
+    many = np.sqrt(np.mean([fitted(measured(seed, 300, 1, waves=4e-4)[0]).noise[0].total ** 2 for seed in range(2)]))
+    assert by_poses == pytest.approx(many, rel=0.2)
+    assert by_rows < 0.8 * many
 
 
 def test_scatter_from_pose_to_pose_is_found_although_rows_of_a_pose_agree() -> None:

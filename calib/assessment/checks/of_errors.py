@@ -13,11 +13,12 @@ from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound
 from calib.foundations.linear import spread
 from calib.identification.fit import Fit
+from calib.identification.repeats import by_pose
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import End, Measurements
-from calib.measurement.poses import ONE_POSE, both_ends
+from calib.measurement.poses import ONE_POSE, both_ends, poses_of
 
 # Of the spread of what was measured. Poor arms leave up to half of it; what does not belong together leaves all.
 LEFT = 0.05
@@ -127,8 +128,8 @@ def _noise(fit: Fit, name: str) -> float:
 def prediction(fit: Fit, machine: CalibratedMachine, held_out: Sequence[JudgedSet]) -> Check:
     """Whether errors of rows held out are about as large as the fit says that they should be, or small."""
     robust = any(loss != "linear" for loss in fit.losses)
-    # Parameters from rows that go together are that much less sure.
-    together = 1.0 + 2.0 * memory(fit.residuals)
+    # Parameters from rows that go together are that much less sure; of rows of a pose the uncertainty knows it.
+    together = 1.0 + 2.0 * memory(_by_pose(fit))
     worst, limit, said = NOTHING, PREDICTED, "No rows were held out."
     for one in held_out:
         for quantity in QUANTITIES[one.data.kind]:
@@ -154,6 +155,19 @@ def prediction(fit: Fit, machine: CalibratedMachine, held_out: Sequence[JudgedSe
                 said = f"Held-out {quantity.name} errors are {ratio:.2g} times as large as predicted"
                 said += "." if ratio <= allowed else ": something differs between the fitted and the held-out rows."
     return Check.of("prediction", worst, limit, not worst > limit, said)
+
+
+def _by_pose(fit: Fit) -> list[Array]:
+    """Return the residuals (n, d) of every set; means of poses, as these follow each other, where rows err together."""
+    again = {one.measurements for one in fit.repeats}
+
+    def means(data: Measurements, r: Array) -> Array:
+        pose = poses_of(data)
+        sums, many = by_pose(r, pose)
+        return np.asarray((sums / many[:, None])[np.argsort(np.unique(pose, return_index=True)[1])])
+
+    sets = enumerate(zip(fit.measurements, fit.residuals, strict=True))
+    return [means(data, r) if i in again else r for i, (data, r) in sets]
 
 
 def _of_parameters(machine: CalibratedMachine, data: Measurements, columns: slice) -> Array:

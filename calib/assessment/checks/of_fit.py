@@ -6,7 +6,7 @@ from calib.assessment.judged import NOTHING, Check
 from calib.identification.fit import Fit
 from calib.measurement.kinds import UNIT_OF
 from calib.measurement.measurements import Measurements
-from calib.measurement.poses import ONE_POSE, both_ends, things_of
+from calib.measurement.poses import same_pose
 
 # Degrees of freedom with which a scatter is told from a sigma.
 ENOUGH = 10.0
@@ -36,7 +36,7 @@ def redundancy(fit: Fit) -> Check:
         r.shape[1] * _told_before(data, under_conditions=bool(fit.robot.terms))
         for data, r in zip(fit.measurements, fit.residuals, strict=True)
     )
-    free = sum(noise.degrees_of_freedom for noise in fit.noise) - again
+    free = sum(noise.degrees_of_freedom for noise in fit.noise_by_rows) - again
     said = f"{numbers} numbers were measured, {f'{again} of them at the same poses again, ' if again else ''}"
     said += f"and {max(free, 0.0):.0f} degrees of freedom are left to judge the fit"
     return Check.judged("redundancy", free, FREEDOM, said, f"; at least {FREEDOM:g} are needed.", least=True)
@@ -49,15 +49,14 @@ def _told_before(data: Measurements, *, under_conditions: bool) -> int:
     """
     if data.stream is not None or not len(data):
         return 0
-    told = [np.round(both_ends(data) / ONE_POSE), things_of(data)]
-    told += [] if data.points is None else [data.points]
+    others = [] if data.points is None else [data.points]
     if data.kind == "pixels":
-        told.append(data.value[:, 2:])
+        others.append(data.value[:, 2:])
     for end in data.ends if under_conditions else ():
         own = end.conditions
         states = (own.approach, own.temperature, own.torque, own.payload, own.gravity)
-        told += [np.nan_to_num(state.reshape(len(data), -1)) for state in states if state is not None]
-    return len(data) - len(np.unique(np.column_stack(told), axis=0))
+        others += [np.nan_to_num(state.reshape(len(data), -1)) for state in states if state is not None]
+    return len(data) - 1 - int(same_pose(data, others, pieces=True).max())
 
 
 def stated_sigma(fit: Fit) -> Check:
