@@ -155,8 +155,9 @@ class _Seen(NamedTuple):
 
     @property
     def cost(self) -> Array:
-        """Length of the gap; infinite where the machine cannot be."""
-        return np.asarray(np.where([not text for text in self.why], np.linalg.norm(self.gap, axis=1), np.inf))
+        """Length of the gap; infinite where the machine cannot be, of which no gap is known."""
+        length = np.linalg.norm(self.gap, axis=1)
+        return np.asarray(np.where(np.isnan(length), np.inf, length))
 
 
 class _Machine:
@@ -166,9 +167,9 @@ class _Machine:
         self.effort = effort
         self._tips, self._residuals = TipModel(model.robot, model.deviations), how.residuals
         self._conditions, self._targets, self._tools = asked.conditions, asked.targets, asked.tools
-        self._to_tool = rigid.adjoint(rigid.inverse(asked.tools))
         length, angle = how.tolerances
         self.size = 3 if how.what == "position" else 6
+        self._to_tool = rigid.adjoint(rigid.inverse(asked.tools))[:, : self.size]
         self._weights = np.repeat((1.0, length / angle), 3)[: self.size]
         self._columns = len(model.robot.readings)
 
@@ -195,8 +196,7 @@ class _Machine:
         gap = (turned @ (target[:, :3, 3] - position)[:, :, None])[:, :, 0]
         if self.size == 6:
             gap = np.concatenate([gap, rigid.log3(turned @ target[:, :3, :3])], axis=1)
-        J = (self._to_tool[rows] @ slope)[:, : self.size]
-        return _Seen(gap * self._weights, J * self._weights[:, None], why)
+        return _Seen(gap * self._weights, (self._to_tool[rows] @ slope) * self._weights[:, None], why)
 
     def errors(self, gap: Array) -> tuple[Array, Array]:
         """Return position errors (N) in m and orientation errors (N) in rad of gaps (N, m)."""
@@ -273,13 +273,15 @@ def _solve_block(model: CalibratedMachine, asked: Asked, how: How, effort: Effor
     near = (position <= tolerances[0]) & ~(angle > tolerances[1])
     missed = ~near | _outside(q, low, high).any(axis=1) | np.array([bool(text) for text in seen.why], dtype=np.bool_)
     short = _CUT_SHORT if effort.spent else ""
-    for n in map(int, tried[missed[tried]]):
+    lost = tried[missed[tried]]
+    least = _least(seen.slope[lost])
+    for n, slope in zip(map(int, lost), least, strict=True):
         if seen.why[n]:
             why[n] = seen.why[n]
         elif n in passed:
             why[n] = f"the corrected {passed[n]}{short}"
         else:
-            why[n] = f"{_far(position[n], angle[n], seen.slope[n])}{short}"
+            why[n] = f"{_far(position[n], angle[n], slope)}{short}"
     reached = np.array([not text for text in why], dtype=np.bool_) & near
     if how.residuals is not None:
         # All rows at once: each time a Gaussian process goes through a matrix of all its own rows.
@@ -317,8 +319,16 @@ def _said(value: float, reading: Reading) -> str:
     return f"{value / DEG:.7g} deg" if reading.dimension == "angle" else f"{value / MM:.7g} mm"
 
 
-def _far(position: float, angle: float, slope: Array) -> str:
-    least = np.linalg.svd(slope, compute_uv=False)[-1] if slope.shape[1] >= slope.shape[0] else np.inf
+def _least(slope: Array) -> Array:
+    """Return the least singular values (n) of slopes (n, m, nr): of fewer columns than rows infinite, of NaN NaN."""
+    known, (n, m, columns) = np.isfinite(slope).all(axis=(1, 2)), slope.shape
+    found = np.full(n, np.inf if columns < m else np.nan)
+    if columns >= m:
+        found[known] = np.linalg.svd(slope[known], compute_uv=False)[:, -1]
+    return found
+
+
+def _far(position: float, angle: float, least: float) -> str:
     turn = "" if np.isnan(angle) else f" and {angle / MRAD:.4g} mrad"
     where = ", where the arm is singular" if least < _SINGULAR else ""
     return f"no solution found: the nearest found is {position / MM:.4g} mm{turn} away{where}"
@@ -424,21 +434,39 @@ def _step(J: Array, gap: Array, damping: Array) -> tuple[Array, Array]:
 
 def _inverse(J: Array, damping: Array) -> Array:
     """Return damped inverses (n, nr, m) of slopes J (n, m, nr); ``damping`` (n) is relative to the largest slope."""
-    m, inverse = J.shape[1], np.empty((len(J), J.shape[2], J.shape[1]))
-    # By normal equations, at a third of the price, where these lose no digits that matter: of positive numbers with
-    # the sum 1 none is smaller than their product by what the others can be at most.
-    turned = np.swapaxes(J, 1, 2)
-    square = J @ turned
-    trace = np.maximum(np.trace(square, axis1=1, axis2=2), 1e-300)[:, None, None]
-    square = square / trace
-    sound = (np.linalg.det(square) * float(max(m - 1, 1)) ** (m - 1) > _SOUND) & (damping == 0.0)
-    inverse[sound] = np.swapaxes(np.linalg.solve(square[sound], J[sound]), 1, 2) / trace[sound]
+    # By normal equations, at a fraction of the price, where these lose no digits that matter.
+    inverse, sound = _by_normal_equations(J)
+    sound &= damping == 0.0
     U, s, Vt = svd(J[~sound], full_matrices=False)
     largest = np.maximum(s[:, :1], 1e-300)
     shares, damping = s / largest, damping[~sound, None]
     damped = np.where(shares > _NOTHING, shares / (np.maximum(shares, _NOTHING) ** 2 + damping), 0.0) / largest
     inverse[~sound] = np.swapaxes(Vt, 1, 2) @ (damped[:, :, None] * np.swapaxes(U, 1, 2))
     return inverse
+
+
+def _by_normal_equations(J: Array) -> tuple[Array, BoolArray]:
+    """Return J^T (J J^T)^-1 (n, nr, m) of slopes J (n, m, nr), and which of them (n) are sound: the others are not."""
+    # Rows last, so that what is done to all of them is done at once.
+    n, m, columns = J.shape
+    rows = np.empty((m, m + columns, n))
+    slope = rows[:, m:]
+    slope[:] = J.transpose(1, 2, 0)
+    np.einsum("ikn,jkn->ijn", slope, slope, out=rows[:, :m])
+    trace = np.maximum(np.einsum("iin->n", rows[:, :m]), 1e-300)
+    rows /= trace
+    product = np.ones(n)
+    # Positive definite, so that no order of elimination is better; where it is none, nothing of this is taken.
+    with np.errstate(all="ignore"):
+        for j in range(m):
+            product *= rows[j, j]
+            rows[j, j + 1 :] /= rows[j, j]
+            for i in range(m):
+                if i != j:
+                    rows[i, j + 1 :] -= rows[i, j] * rows[j, j + 1 :]
+        # Of positive numbers with the sum 1 none is smaller than their product by what the others can be at most.
+        sound = product * float(max(m - 1, 1)) ** (m - 1) > _SOUND
+    return slope.transpose(2, 1, 0).copy(), np.asarray(sound)
 
 
 def _capped(step: Array) -> Array:

@@ -14,7 +14,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import PoseFrame, What
-from calib.foundations.csv_text import csv_text
+from calib.foundations.csv_text import csv_cell, csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import MM, MRAD, UNITS, Dimension, Unit
 from calib.machine.calibrated import CalibratedMachine
@@ -178,22 +178,23 @@ def corrected_csv(model: CalibratedMachine, wanted: Targets, found: Corrections)
     header = [
         name if unit is None or unit.symbol == "1" else f"{name} [{unit.symbol}]" for name, unit in titles.items()
     ]
-    errors = ["remaining_error [mm]", *(["remaining_turn [mrad]"] if turned else [])]
-    rows = [[*header, *errors, "reached", "reason"]]
-    for n in range(len(found)):
-        cells: list[str] = []
-        for name, unit in titles.items():
-            if name in joints:
-                value = found.readings[n, joints[name]]
-                cells.append(_cell(value / cast(Unit, unit).factor, ".12g"))
-            else:
-                values = table.columns[name].values
-                cells.append(str(values[n]) if unit is None else _cell(float(values[n]) / unit.factor, ".12g"))
-        cells.append(_cell(found.position_error[n] / MM, ".6f"))
-        if turned:
-            cells.append(_cell(found.orientation_error[n] / MRAD, ".6f"))
-        rows.append([*cells, "yes" if found.reached[n] else "no", found.reasons[n]])
-    return csv_text(rows)
+    # Column by column, and numbers as they are: of a table of many rows this is most of the work.
+    columns: list[Sequence[str]] = []
+    for name, unit in titles.items():
+        if name in joints:
+            columns.append(_numbers(found.readings[:, joints[name]] / cast(Unit, unit).factor, ".12g"))
+        elif unit is None:
+            columns.append([csv_cell(str(value)) for value in table.columns[name].values])
+        else:
+            columns.append(_numbers(np.asarray(table.columns[name].values, dtype=np.float64) / unit.factor, ".12g"))
+    errors = ["remaining_error [mm]"]
+    columns.append(_numbers(found.position_error / MM, ".6f"))
+    if turned:
+        errors.append("remaining_turn [mrad]")
+        columns.append(_numbers(found.orientation_error / MRAD, ".6f"))
+    columns += [["yes" if there else "no" for there in found.reached.tolist()], list(map(csv_cell, found.reasons))]
+    rows = "".join(",".join(cells) + "\n" for cells in zip(*columns, strict=True))
+    return csv_text([[*header, *errors, "reached", "reason"]]) + rows
 
 
 def _needed(model: CalibratedMachine, tools: Sequence[str]) -> tuple[str, ...]:
@@ -202,5 +203,6 @@ def _needed(model: CalibratedMachine, tools: Sequence[str]) -> tuple[str, ...]:
     return robot.driving((robot.tip,))
 
 
-def _cell(value: float, how: str) -> str:
-    return "" if np.isnan(value) else format(float(value) + 0.0, how)
+def _numbers(values: Array, how: str) -> list[str]:
+    """Return numbers (N,) as they are written; what is none is empty."""
+    return ["" if text == "nan" else text for text in map(f"{{:{how}}}".format, (values + 0.0).tolist())]

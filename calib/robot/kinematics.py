@@ -5,7 +5,6 @@ The only module that imports Pinocchio, which has no type stubs: what leaves it 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -160,9 +159,22 @@ class Regressor:
     def by_joint(self, types: Sequence[MovingType], joints: Sequence[int]) -> Array:
         """Return the local twists (N, 6, k) of the frame for the positions of some joints.
 
-        A joint's own motion commutes with a change of its position, so these are columns of the regressor.
+        A joint's own motion commutes with a change of its position, so these are columns of the regressor: of them all
+        that are along, or about, the z of a joint alone.
         """
-        return self.by_position(self.through(*self.local), types)[list(joints)].transpose(2, 1, 0)
+        placement = self.placement
+        axes, (z, origins) = placement[:, :3, :3].transpose(2, 1, 0), self.carriers[2:, 1:]
+        arm = placement[:, :3, 3].T - origins
+        along = np.array([types[j] == "prismatic" for j in self.way], dtype=np.bool_)
+        shifts, turns = np.empty_like(z), np.where(along[:, None, None], 0.0, z)
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            np.multiply(z[:, j], arm[:, k], out=shifts[:, i])
+            shifts[:, i] -= z[:, k] * arm[:, j]
+        shifts[along] = z[along]
+        found = np.zeros((6, self.joints, z.shape[2]))
+        for own, columns in ((found[:3], shifts), (found[3:], turns)):
+            own[:, list(self.way)] = np.einsum("acn,wcn->awn", axes, columns)
+        return found[:, list(joints)].transpose(2, 0, 1)
 
     @property
     def before(self) -> Array:
@@ -276,26 +288,8 @@ class Kinematics:
 
         At N configurations q (N, nj): columns of the regressor, without the others.
         """
-        model, data, first = self._alone
-        placements, jacobians, local = (
-            np.empty((len(q), 4, 4)),
-            np.empty((len(q), 6, model.nv)),
-            pin.ReferenceFrame.LOCAL,
-        )
-        compute, placed = pin.computeFrameJacobian, data.iMf
-        for n, q_n in enumerate(np.ascontiguousarray(q)):
-            # Pinocchio drops the only column of a single joint.
-            jacobians[n] = compute(model, data, q_n, first, local).reshape(6, model.nv)
-            # On its way to the root the computation leaves the frame's placement there.
-            placements[n] = placed[0].homogeneous
-        return placements, jacobians
-
-    @cached_property
-    def _alone(self) -> tuple[pin.Model, pin.Data, int]:
-        """The tree with its first frame, and the number of that."""
-        model, frame = _model(self._tree), self._frames[0]
-        number = model.addFrame(pin.Frame("first", frame.joint + 1, pin.SE3(frame.placement), pin.FrameType.OP_FRAME))
-        return model, model.createData(), number
+        types, found = self._tree.types, self.regressors(q)[0]
+        return found.placement, found.by_joint(types, range(len(types)))
 
     def placements(self, q: Array) -> tuple[Array, ...]:
         """Return the placements (N, 4, 4) of every frame at N configurations q (N, nj)."""

@@ -548,24 +548,24 @@ def _parallelogram(folder: Path, size: int) -> None:
             _table(folder / name, header, rows[k :: len(names)])
 
 
-_TWO_STREAMS = """schema = 1
+_OWN = """schema = 1
 [robot]
 urdf = "{urdf}"
 tip = "{tip}"
 [error_model]
 offsets = "all"
 placements = "all"
-[[measurements]]
-file = "seen0.csv"
-readings = "joints.csv"
-clock = "free"
-sigma = "0.1 mm"
-[[measurements]]
-file = "seen1.csv"
-readings = "joints.csv"
-clock = "free"
-sigma = "0.1 mm"
 """
+
+
+def _own_job(folder: Path, urdf: str, tip: str, *more: str) -> None:
+    """Write a job of an arm of its own, of which offsets and placements are free, and ``more``."""
+    job = _OWN.format(urdf=urdf, tip=tip) + "".join(more)
+    (folder / "calibration.toml").write_text(job, encoding="utf-8")
+
+
+def _measured(file: str, more: str = "", sigma: float = 0.05) -> str:
+    return f'[[measurements]]\nfile = "{file}"\n{more}sigma = "{sigma} mm"\n'
 
 
 def _two_streams(folder: Path, size: int) -> None:
@@ -575,26 +575,8 @@ def _two_streams(folder: Path, size: int) -> None:
     for k, some in enumerate(np.array_split(seen, 2)):
         _table(folder / f"seen{k}.csv", ",".join(made.seen), some, 5)
     _table(folder / "joints.csv", ",".join(made.joints), np.column_stack(list(made.joints.values())), 5)
-    urdf, tip = streams.UR10
-    (folder / "calibration.toml").write_text(_TWO_STREAMS.format(urdf=urdf, tip=tip), encoding="utf-8")
-
-
-_TORSO = """schema = 1
-[robot]
-urdf = "torso.urdf"
-tip = "a6"
-[error_model]
-offsets = "all"
-placements = "all"
-[[measurements]]
-file = "a.csv"
-sigma = "0.05 mm"
-[[measurements]]
-file = "b.csv"
-tip = "b6"
-tool = "other"
-sigma = "0.05 mm"
-"""
+    clock = 'readings = "joints.csv"\nclock = "free"\n'
+    _own_job(folder, *streams.UR10, *(_measured(f"seen{k}.csv", clock, 0.1) for k in range(2)))
 
 
 def _torso(folder: Path, size: int) -> None:
@@ -613,23 +595,8 @@ def _torso(folder: Path, size: int) -> None:
     for arm in "ab":
         robot = load_robot(folder / "torso.urdf", f"{arm}6")
         _table(folder / f"{arm}.csv", *_seen_by_tracker(robot, max(size // 150, 60)))
-    (folder / "calibration.toml").write_text(_TORSO, encoding="utf-8")
-
-
-_GIVING_WAY = """schema = 1
-[robot]
-urdf = "{urdf}"
-tip = "tool0"
-[error_model]
-offsets = "all"
-placements = "all"
-lateral_moments = "all"
-torque = "all"
-[[measurements]]
-file = "loaded.csv"
-sigma = "0.05 mm"
-loss = "cauchy"
-"""
+    other = 'tip = "b6"\ntool = "other"\n'
+    _own_job(folder, "torso.urdf", "a6", _measured("a.csv"), _measured("b.csv", other))
 
 
 def _giving_way(folder: Path, size: int) -> None:
@@ -640,7 +607,8 @@ def _giving_way(folder: Path, size: int) -> None:
     torques = np.random.default_rng(1).normal(0.0, 20.0, (n, len(robot.readings)))
     header += "".join(f",tau_{reading.name} [Nm]" for reading in robot.readings)
     _table(folder / "loaded.csv", header, np.hstack([rows, torques]))
-    (folder / "calibration.toml").write_text(_GIVING_WAY.format(urdf=_UR10), encoding="utf-8")
+    bearings = 'lateral_moments = "all"\ntorque = "all"\n'
+    _own_job(folder, _UR10, "tool0", bearings, _measured("loaded.csv", 'loss = "cauchy"\n'))
 
 
 def _verified(folder: Path, size: int) -> None:

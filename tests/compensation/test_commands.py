@@ -17,6 +17,8 @@ from calib.foundations.choices import PoseFrame
 from calib.foundations.errors import JobError, MeasurementError
 from calib.machine import grid
 from calib.measurement.table import table_from_arrays
+from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.kinematics import Kinematics
 from calib.robot.robot import TipModel
 from calib.robot.terms import JointTerm
 from tests.support import machines
@@ -213,6 +215,60 @@ def test_positions_end_nearest_to_a_start_that_is_far_away() -> None:
     # Nothing along which the tool stands still is left of the change. Where it is, the limits or a singularity ask it.
     assert np.mean(left < 1e-8) > 0.9
     assert np.median(found.steps) < 20
+
+
+@pytest.mark.parametrize("limit", [None, 2.0])
+@pytest.mark.parametrize("case", ["ur10", "panda", "irb2400", "torques", "residuals"])
+def test_positions_without_a_start_are_those_of_plain_linear_algebra(
+    case: str, limit: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot = robot_of(case if case in {*ARMS, "irb2400"} else "ur10")
+    conditions, n = NO_CONDITIONS, 24
+    if limit is not None:
+        robot = replace(robot, readings=tuple(replace(r, lower=-limit, upper=limit) for r in robot.readings))
+    model = model_of(robot)
+    if case == "torques":
+        giving = replace(robot, terms=tuple(JointTerm(r.name, "torque") for r in robot.readings))
+        model = replace(model, robot=giving, deviations=replace(deviations(giving), terms=np.full(6, 2e-5)))
+        conditions = Conditions(torque=np.random.default_rng(8).normal(0.0, 50.0, (n, 6)))
+    if case == "residuals":
+        model = replace(model, residual_model=residual_grid(robot, "tip"))
+    positions = (robot.tips(draw(robot, n, share=0.8), deviations(robot)) @ TOOLS["tool"])[:, :3, 3]
+    clamp = case == "residuals"
+    found = commands.for_poses(model, positions, conditions=conditions, clamp=clamp)
+    assert found.reached.all(), found.reasons
+    tips = TipModel(model.robot, model.deviations).tips(found.readings, conditions)
+    there = (tips @ TOOLS["tool"])[:, :3, 3]
+    if model.residual_model is not None:
+        there += np.einsum("nij,nj->ni", tips[:, :3, :3], model.residual_model.at(found.readings, clamp=True))
+    assert np.abs(there - positions).max() < 1e-6
+    low, high = inverse.limits(robot.readings)
+    assert ((found.readings >= low - 1e-9) & (found.readings <= high + 1e-9)).all()
+
+    def by_twists(own: Kinematics, q: Array) -> tuple[Array, Array]:
+        tip = own.regressors(q)[0]
+        return tip.placement, tip.by_position(tip.through(*tip.local), own._tree.types).transpose(2, 1, 0)
+
+    monkeypatch.setattr(Kinematics, "jacobian", by_twists)
+    monkeypatch.setattr(
+        inverse, "_by_normal_equations", lambda J: (np.empty((len(J), *J.shape[:0:-1])), np.zeros(len(J), dtype=bool))
+    )
+    plain = commands.for_poses(model, positions, conditions=conditions, clamp=clamp)
+    assert np.array_equal(plain.reached, found.reached)
+    assert np.abs(plain.readings - found.readings).max() < 1e-8
+
+
+@pytest.mark.parametrize(("m", "columns"), [(3, 6), (6, 6), (6, 7), (6, 3), (3, 1)])
+def test_inverses_of_slopes_are_those_of_numpy(m: int, columns: int) -> None:
+    J = np.random.default_rng(m + columns).normal(size=(9, m, columns))
+    J[3], J[4, -1], J[5, -1] = 0.0, J[4, 0], J[5, 0] * (1.0 + 1e-7)
+    expected = [np.linalg.pinv(one, rcond=1e-12) for one in J]
+    found = inverse._inverse(J, np.zeros(9))
+    size = np.linalg.norm(expected, axis=(1, 2))[:, None, None] + 1.0
+    assert np.abs((found - expected) / size).max() < 1e-9
+    damped, largest = inverse._inverse(J[:3], np.full(3, 1e-3)), np.linalg.svd(J[:3], compute_uv=False)[:, 0]
+    for one, own, s in zip(damped, J[:3], largest, strict=True):
+        assert np.abs(one - own.T @ np.linalg.inv(own @ own.T + 1e-3 * s**2 * np.eye(m))).max() < 1e-9
 
 
 # ---- refusals
