@@ -131,7 +131,7 @@ def _identify(
 ) -> Fit:
     refuse_other(null_space, ("nearest", "minimal", "refuse"), "null_space")
     whole = initial_problem(model, (measurements,) if isinstance(measurements, Measurements) else tuple(measurements))
-    sets, parameters = whole.measurements, _chosen(whole.parameters, free)
+    sets, parameters = whole.measurements, matching(whole.parameters, free)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
     variances = _stated(model_sigmas)
@@ -308,8 +308,10 @@ def _with_anchors(problem: Problem, found: Solution, variances: Sequence[float |
     return found
 
 
-def _chosen(parameters: tuple[Parameter, ...], free: Sequence[str] | None) -> tuple[Parameter, ...]:
-    """Return the parameters that some name or glob matches; raises JobError for one that matches none.
+def matching(
+    parameters: tuple[Parameter, ...], free: Sequence[str] | None, where: str = "free"
+) -> tuple[Parameter, ...]:
+    """Return the parameters that some name or glob matches; raises JobError, with ``where``, for one that matches none.
 
     Targets and scalars are always free: nobody knows them, and nothing but the measurements at hand tells.
     """
@@ -318,7 +320,7 @@ def _chosen(parameters: tuple[Parameter, ...], free: Sequence[str] | None) -> tu
     names = [parameter.name for parameter in parameters]
     for pattern in free:
         if not fnmatch.filter(names, pattern):
-            raise JobError(f"free: {pattern!r} matches none of the error model's parameters.")
+            raise JobError(f"{where}: {pattern!r} matches none of the error model's parameters.")
     return tuple(p for p in parameters if p.nuisance or any(fnmatch.fnmatchcase(p.name, pattern) for pattern in free))
 
 
