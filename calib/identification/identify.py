@@ -328,7 +328,7 @@ def _stated(model_sigmas: Sequence[float | None] | None) -> tuple[float | None, 
     """Return the variances of stated sigmas. Raises JobError when one is out of range."""
     # Of lengths, angles or pixels: which of them, each set says.
     low, high = RANGES["model_sigma"].ends[0], RANGES["model_sigma of pixels"].ends[1]
-    for s in model_sigmas or ():
+    for s in () if model_sigmas is None else model_sigmas:
         if not (s is None or s == 0.0 or low <= s <= high):
             raise JobError(f"model_sigmas: {s!r} is out of range; allowed is 0, or {low:g} to {high:g}.")
     return None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
