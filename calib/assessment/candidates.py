@@ -14,7 +14,7 @@ from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import MOST_POSES, Observed
 from calib.foundations.errors import JobError
-from calib.foundations.ranges import refuse_beyond, refuse_shape
+from calib.foundations.ranges import finite, refuse_beyond, refuse_shape
 from calib.foundations.units import DEG
 from calib.foundations.words import refuse_other
 from calib.identification.error_model import ErrorModel
@@ -36,8 +36,15 @@ _BY_CHANCE = 4
 
 @checked
 def roughly(tool: Sequence[float] = (0.05, 0.0, 0.05), tracker: Sequence[float] = (0.0, 0.0, 0.0)) -> Frames:
-    """Return frames for a plan: ``tool`` (3,), a reflector in the tip link, and ``tracker`` (3,) in the base, in m."""
-    return Frames(rigid.translation(-np.asarray(tracker))[None], rigid.translation(np.asarray(tool))[None])
+    """Return frames for a plan: ``tool`` (3,), a reflector in the tip link, and ``tracker`` (3,) in the base, in m.
+
+    Raises JobError for anything else than three numbers.
+    """
+    t, u = (
+        finite(list(given), (3,), f"{name}: needs three lengths x, y, z in m.", JobError)
+        for name, given in (("tracker", tracker), ("tool", tool))
+    )
+    return Frames(rigid.translation(-t)[None], rigid.translation(u)[None])
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from calib.assessment.design import DesignRows
 from calib.assessment.hand_eye import lens_of, marks_before_camera
 from calib.assessment.planning import Plan, planned
 from calib.foundations import rigid
-from calib.foundations.arguments import checked
+from calib.foundations.arguments import checked, refuse_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import MOST_POSES, Criterion
@@ -60,6 +60,7 @@ class Views:
     most_tilt: float = 55.0 * DEG
 
     def __post_init__(self) -> None:
+        refuse_fields(self)
         if not 0.0 < self.most_tilt < 90.0 * DEG:
             raise JobError(f"most_tilt: {self.most_tilt!r} is not an angle in rad between 0 and pi/2.")
         data = self.photographed

@@ -121,7 +121,7 @@ def _test(hint: Any) -> _Test:
     if hint is float:
         return lambda value: not isinstance(value, bool) and isinstance(value, Real) and _is_float(value)
     if hint is int:
-        return lambda value: isinstance(value, Integral)
+        return lambda value: not isinstance(value, bool) and isinstance(value, Integral)
     if hint is bool:
         return lambda value: isinstance(value, bool | np.bool_)
     return (lambda value: isinstance(value, hint)) if isinstance(hint, type) else _anything

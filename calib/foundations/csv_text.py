@@ -18,6 +18,8 @@ _SIGNS = "=+\\-@\uff1d\uff0b\uff0d\uff20\ufe66\ufe62\ufe63\ufe6b"
 _SEPARATORS = ",;|\t\n\r\v\f\x1c-\x1e\x85\u2028\u2029"
 # What may begin a cell: spaces and quotes before it are taken off by some spreadsheets.
 _BEGINNING = re.compile(rf"(^|[{_SEPARATORS}])([\s\"]*)(?=([{_SIGNS}][^{_SEPARATORS}]*))")
+# The apostrophe that stands before it in our own files.
+_MARK = re.compile(rf"((?:^|[{_SEPARATORS}])[\s\"]*)'(?=[{_SIGNS}])")
 # "#" begins a comment in our own tables.
 _TO_QUOTE = re.compile(rf"[\"#{_SEPARATORS}]")
 # "+" and "-" alone are sides of approach.
@@ -70,6 +72,11 @@ def csv_cell(value: object) -> str:
         return value
     text = _defused(value) if isinstance(value, str) else str(value)
     return '"' + text.replace('"', '""') + '"' if _TO_QUOTE.search(text) or text != text.strip() else text
+
+
+def without_marks(text: str) -> str:
+    """Return a text as it was before :func:`csv_text` put apostrophes into it."""
+    return _MARK.sub(r"\1", text) if "'" in text else text
 
 
 def _defused(text: str) -> str:

@@ -132,7 +132,7 @@ def _identify(
 ) -> Fit:
     refuse_other(null_space, ("nearest", "minimal", "refuse"), "null_space")
     whole = initial_problem(model, (measurements,) if isinstance(measurements, Measurements) else tuple(measurements))
-    sets, parameters = whole.measurements, _chosen(whole.parameters, free)
+    sets, parameters = whole.measurements, matching(whole.parameters, free)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
     variances = _stated(model_sigmas)
@@ -311,8 +311,10 @@ def _with_anchors(problem: Problem, found: Solution, variances: Sequence[float |
     return found
 
 
-def _chosen(parameters: tuple[Parameter, ...], free: Sequence[str] | None) -> tuple[Parameter, ...]:
-    """Return the parameters that some name or glob matches; raises JobError for one that matches none.
+def matching(
+    parameters: tuple[Parameter, ...], free: Sequence[str] | None, where: str = "free"
+) -> tuple[Parameter, ...]:
+    """Return the parameters that some name or glob matches; raises JobError, with ``where``, for one that matches none.
 
     Targets and scalars are always free: nobody knows them, and nothing but the measurements at hand tells.
     """
@@ -321,7 +323,7 @@ def _chosen(parameters: tuple[Parameter, ...], free: Sequence[str] | None) -> tu
     names = [parameter.name for parameter in parameters]
     for pattern in free:
         if not fnmatch.filter(names, pattern):
-            raise JobError(f"free: {pattern!r} matches none of the error model's parameters.")
+            raise JobError(f"{where}: {pattern!r} matches none of the error model's parameters.")
     return tuple(p for p in parameters if p.nuisance or any(fnmatch.fnmatchcase(p.name, pattern) for pattern in free))
 
 
@@ -329,7 +331,7 @@ def _stated(model_sigmas: Sequence[float | None] | None) -> tuple[float | None, 
     """Return the variances of stated sigmas. Raises JobError when one is out of range."""
     # Of lengths, angles or pixels: which of them, each set says.
     low, high = RANGES["model_sigma"].ends[0], RANGES["model_sigma of pixels"].ends[1]
-    for s in model_sigmas or ():
+    for s in () if model_sigmas is None else model_sigmas:
         if not (s is None or s == 0.0 or low <= s <= high):
             raise JobError(f"model_sigmas: {s!r} is out of range; allowed is 0, or {low:g} to {high:g}.")
     return None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)

@@ -93,14 +93,16 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
     nodes = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "nodes")
-    refusals.refuse_levels(job, path)
+    refusals.refuse_levels(job, robot, chosen, nodes, path)
     refusals.refuse_unknown_names(job, sets, path)
     refusals.refuse_wrong_shapes(job, sets, path)
     whole, model = model, model.within(chosen)
     doubts += refusals.found_from_held_out(whole, chosen, held_out)
     refusals.refuse_no_noise(job, sets, path)
-    doubts += refusals.weights_not_known(model, sets)
-    doubts += meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf)
+    doubts += [
+        *refusals.weights_not_known(model, sets),
+        *meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf),
+    ]
     findings = doubts + [finding for data in sets for finding in table_findings(data, robot.readings, robot.reach)]
     findings += [finding for one_use in (chosen, held_out, nodes) for finding in copied_tables(one_use)]
     if len(chosen) > 1:
@@ -110,6 +112,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     progress("looking for typical mistakes")
     findings += refusals.signatures_of(model, chosen, path)
     refuse_findings(findings)
+    refusals.refuse_unmatched(job, model, chosen, path)
     hashes = {
         **({path.name: sha256(read_bytes(path, JobError))} if written else {}),
         job.robot.urdf: sha256(robot.urdf.source),

@@ -12,10 +12,10 @@ from calib.foundations.csv_text import text_of
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import MM
-from calib.foundations.words import shown
+from calib.foundations.words import shortened, shown
 from calib.job.contradictions import contradictions
 from calib.job.schema import BoardSection, Job
-from calib.job.sentences import validation_sentence
+from calib.job.sentences import dotted, validation_sentence
 from calib.measurement.prints import Print
 
 # Is told what is done next.
@@ -37,8 +37,10 @@ def read_board(path: Path) -> Print:
     """Read what is printed on a board. Raises JobError as :func:`read_job` does."""
     try:
         section = BoardSection.model_validate(_plain(read_toml(path)))
-    except (RecursionError, _TooLargeError) as e:
-        raise JobError(f"{path}: is no board.toml.") from e
+    except RecursionError as e:
+        raise JobError(f"{path}: is nested too deep.") from e
+    except _TooLargeError as e:
+        raise JobError(f"{path}: {e}.") from e
     except ValidationError as e:
         raise JobError(f"{path}: {validation_sentence(e, BoardSection)}") from e
     marker = 0.0 if section.marker is None else section.marker.si
@@ -105,18 +107,23 @@ def parse_job(contents: dict[str, Any], where: str) -> Job:
 
 
 class _TooLargeError(Exception):
-    """A value that no job has: the end of a sentence."""
+    """A value that no job has: its key, and the end of a sentence."""
 
 
-def _plain(value: Any) -> Any:
-    """Return a value with tuples, as a frozen job keeps them, for arrays. Raises _TooLargeError."""
+def _plain(value: Any, at: tuple[str | int, ...] = ()) -> Any:
+    """Return the value of a key with tuples, as a frozen job keeps them, for arrays. Raises _TooLargeError."""
     if isinstance(value, dict):
-        return {_plain(key): _plain(v) for key, v in value.items()}
+        return {_plain(name, (*at, name)): _plain(v, (*at, name)) for name, v in value.items()}
     if isinstance(value, list):
-        return tuple(map(_plain, value))
+        return tuple(_plain(v, (*at, i)) for i, v in enumerate(value))
     if isinstance(value, str) and len(value) > _LONGEST_TEXT:
-        raise _TooLargeError(f"the text {shown(value)} is longer than {_LONGEST_TEXT} characters")
+        raise _TooLargeError(
+            f"{shortened(dotted(at))}: the text {shown(value)} is longer than {_LONGEST_TEXT} characters"
+        )
     # Hexadecimal ones may have more digits than Python prints.
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise _TooLargeError(f"a whole number of {value.bit_length()} bits is more than 64, which TOML allows")
+        bits = value.bit_length()
+        raise _TooLargeError(
+            f"{shortened(dotted(at))}: a whole number of {bits} bits is more than 64, which TOML allows"
+        )
     return value

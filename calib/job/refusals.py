@@ -7,11 +7,14 @@ import numpy as np
 
 from calib.foundations.errors import JobError, naming, naming_rows
 from calib.identification.error_model import ErrorModel
+from calib.identification.identify import matching
+from calib.identification.initialisation.problem import initial_problem
 from calib.identification.observability import rank_findings
 from calib.identification.sanity import signatures
 from calib.identification.targets import shapes
 from calib.job.schema import Job
 from calib.job.tables import model_sigmas
+from calib.machine.grid import joint_numbers
 from calib.measurement.checks import Finding
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import ONLY_SETUP, Measurements
@@ -19,8 +22,13 @@ from calib.robot.joint_terms import weighed_at_zero
 from calib.robot.robot import Robot
 
 
-def refuse_levels(job: Job, path: Path) -> None:
-    """Refuse levels that name files which are not to be identified from, and files that come twice."""
+def refuse_levels(
+    job: Job, robot: Robot, chosen: Sequence[Measurements], measured_nodes: Sequence[Measurements], path: Path
+) -> None:
+    """Refuse levels that name files which are not to be identified from, files that come twice, and what no level is.
+
+    ``chosen`` and ``measured_nodes``: the tables to identify from, and those of nodes.
+    """
     files = [section.file for section in job.measurements if section.use == "identify"]
     nodes = [section.file for section in job.measurements if section.use == "nodes"]
     for i, level in enumerate(job.levels):
@@ -45,6 +53,42 @@ def refuse_levels(job: Job, path: Path) -> None:
         raise JobError(f"{path}: measurements: a file appears twice, so that levels cannot name one of the two.")
     if job.levels and job.solver.kind != "least_squares":
         raise JobError(f"{path}: solver.kind: {job.solver.kind!r} does not work in levels; leave one of them out.")
+    _refuse_residual_model(job, robot, chosen, measured_nodes, path)
+
+
+def refuse_unmatched(job: Job, model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> None:
+    """Refuse levels with a name or glob that matches no parameter, before any level is solved."""
+    by_file = dict(
+        zip((section.file for section in job.measurements if section.use == "identify"), chosen, strict=True)
+    )
+    for i, level in enumerate(job.levels):
+        if level.residual_model is None:
+            sets = [by_file[file] for file in level.measurements or by_file]
+            with naming(path, JobError):
+                matching(initial_problem(model.within(sets), sets).parameters, level.free, f"levels[{i}].free")
+
+
+def _refuse_residual_model(
+    job: Job, robot: Robot, chosen: Sequence[Measurements], nodes: Sequence[Measurements], path: Path
+) -> None:
+    """Refuse a residual model of joints that are not read, of several tips, or of no positions."""
+    section = job.levels[-1].residual_model if job.levels else None
+    if section is None:
+        return
+    names = [reading.name for reading in robot.readings]
+    where = f"{path}: levels[{len(job.levels) - 1}].residual_model"
+    with naming(where, JobError):
+        joint_numbers(names, names if section.joints is None else section.joints, section.frame)
+    tips = sorted({data.tip or robot.tip for data in (*chosen, *nodes)})
+    if len(tips) > 1:
+        raise JobError(f"{where}: is of one tip, and the measurements are of several: {', '.join(map(repr, tips))}.")
+    if not nodes and not with_positions(chosen):
+        raise JobError(f"{where}: needs measurements of positions, and there are none.")
+
+
+def with_positions(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
+    """Return the tables from which a residual model learns where there are no nodes."""
+    return tuple(data for data in sets if data.position is not None)
 
 
 def refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:

@@ -6,12 +6,13 @@ import numpy as np
 
 from calib.assessment.gaussian_choice import MOST_JUDGED, bought
 from calib.assessment.validation import row_groups
-from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.errors import MeasurementError
 from calib.foundations.units import MM
 from calib.identification.fit import Fit
 from calib.identification.identify import residuals_of
 from calib.job.inputs import Inputs
 from calib.job.read import Progress
+from calib.job.refusals import with_positions
 from calib.machine.gaussian import GaussianResiduals, gaussian_from_residuals
 from calib.machine.grid import SectorGrid, axes_of, grid_from_residuals
 from calib.measurement.checks import Finding
@@ -34,11 +35,7 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
     section = inputs.job.levels[-1].residual_model if inputs.job.levels else None
     if section is None:
         return ResidualLevel(None)
-    if len(fit.robot.links) > 1:
-        raise JobError("levels: a residual_model is of one arm with one tip, and the job has several links.")
-    sets = inputs.nodes or tuple(data for data in inputs.identify if data.position is not None)
-    if not sets:
-        raise JobError("levels: the residual_model needs measurements of positions, and there are none.")
+    sets = inputs.nodes or with_positions(inputs.identify)
     errors = [r[:, :3] for r in residuals_of(fit, sets, fit.machine)]
     for data in sets:
         if not fit.knows(data):

@@ -54,7 +54,8 @@ class NoiseEntry(Strict):
 class WavesEntry(Strict):
     """Errors that follow the readings, as :class:`calib.machine.uncertainty.Waves` has them."""
 
-    period: dict[str, Annotated[_Number, Field(gt=0.0)]]
+    # Readings are at most 1e4; of much shorter periods nothing is left of the phase but rounding.
+    period: dict[str, Annotated[_Number, Field(ge=1e-6)]]
     width: dict[str, Annotated[tuple[Annotated[_Number, Field(ge=0.0)], ...], Field(min_length=1, max_length=100)]]
 
 

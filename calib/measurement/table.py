@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
+from calib.foundations.csv_text import without_marks
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.ranges import OF_DIMENSION, SMALLEST_CELL
@@ -472,4 +473,4 @@ def _words(values: Sequence[str] | npt.NDArray[Any], name: str, place: _Place) -
             raise MeasurementError(
                 f"{place(row)}: column {name!r}: {shown(str(value))} is longer than {_LONGEST_WORD} characters."
             )
-    return tuple(str(value).strip() for value in values)
+    return tuple(without_marks(str(value).strip()) for value in values)

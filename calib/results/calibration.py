@@ -207,6 +207,8 @@ def assess(
     """
     validation = (held_out,) if isinstance(held_out, Measurements) else tuple(held_out)
     own = fit.measurements if data is None else tuple(data)
+    if not own:
+        raise MeasurementError("data: there are no tables to judge the fit by.")
     tables = at_clocks(fit, (*own, *validation))
     own, validation = tables[: len(own)], tables[len(own) :]
     given = tuple(names) if names is not None else tuple(table.where for table in tables)

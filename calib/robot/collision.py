@@ -22,6 +22,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
+from calib.foundations.ranges import refuse_shape
 from calib.foundations.xml_text import Element
 from calib.robot.links import arm_of, link_placements
 from calib.robot.mesh_counts import MOST_CORNERS, counts
@@ -193,6 +194,8 @@ def self_collision(
     are found and left out; random ones within the limits when None. Raises RobotError when there are more than 1000
     shapes, or they touch so often that all this takes too long.
     """
+    if readings is not None:
+        refuse_shape(readings, (None, len(robot.readings)), "readings", RobotError)
     shapes, notes = [], []
     meshes: _Meshes = {}
     elements = _elements(robot.urdf)

@@ -78,6 +78,7 @@ def test_what_fits_is_taken(given: dict[str, Any]) -> None:
         ({"number": 1j}, "number is a complex; needs a number."),
         ({"number": np.zeros(3)}, "number is an array of float64; needs a number."),
         ({"count": 1.5}, "count is 1.5; needs a whole number."),
+        ({"count": True}, "count is True; needs a whole number."),
         ({"flag": None}, "flag is None; needs a bool."),
         ({"text": 5}, "text is 5; needs a text or a Path."),
         ({"text": b"x"}, "text is b'x'; needs a text or a Path."),
@@ -106,6 +107,16 @@ def test_what_does_not_fit_is_refused_in_a_sentence(given: dict[str, Any], said:
     with pytest.raises(JobError) as caught:
         takes(**given)
     assert str(caught.value) == f"takes: {said}"
+
+
+def test_an_array_serves_as_a_list_of_numbers() -> None:
+    robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+    data, held_out = calib.hold_out(calib.read_measurements(CASE / TABLE, robot, sigma=2e-5))
+    model, sigmas = calib.error_model(robot, offsets="all"), [1e-5, 2e-5]
+    by_list, by_array = (
+        calib.identify(model, [data, held_out], model_sigmas=given) for given in (sigmas, np.array(sigmas))
+    )
+    np.testing.assert_array_equal(by_list.values, by_array.values)
 
 
 def test_long_texts_are_cut() -> None:
@@ -159,6 +170,10 @@ def test_slips_of_python_users_are_sentences() -> None:
         (lambda: calib.measuring.Payload("5 kg"), "Payload: mass is '5 kg'; needs a number."),  # type: ignore[arg-type]
         (lambda: calib.Deviations(None, np.zeros(6)), "Deviations: placements is None; needs an array of numbers."),  # type: ignore[arg-type]
         (lambda: data.subset([99]), "there are no such rows among 60"),
+        (lambda: calib.assess(fit, data=[]), "data: there are no tables to judge the fit by."),
+        (lambda: calib.planning.Views(data), "Views: fit is a Measurements; needs a Fit."),  # type: ignore[arg-type]
+        (lambda: calib.planning.roughly([0.1]), "tool: needs three lengths x, y, z in m."),
+        (lambda: calib.planning.self_collision(robot, (), np.array(5.0)), "readings has the shape (); needed is"),
     ):  # fmt: skip
         with pytest.raises(calib.CalibError) as caught:
             slip()

@@ -33,8 +33,8 @@ def refused(tmp_path: Path, job: str | bytes) -> str:
     [
         ("schema = " + "9" * 10_000, ":1: is longer than the 10000 bytes that are allowed."),
         ("schema = " + "9" * 5000, ": is not TOML: a number has too many digits."),
-        ("schema = 0x" + "f" * 5000, ": a whole number of 20000 bits is more than 64, which TOML allows."),
-        ("schema = 99999999999999999999", ": a whole number of 67 bits is more than 64, which TOML allows."),
+        ("schema = 0x" + "f" * 5000, ": schema: a whole number of 20000 bits is more than 64, which TOML allows."),
+        ("schema = 99999999999999999999", ": schema: a whole number of 67 bits is more than 64, which TOML allows."),
         ("schema = 1.0e400", ": schema: inf is not a schema that this version reads; it must be 1."),
         ("schema = nan", ": schema: nan is not a schema that this version reads; it must be 1."),
         ("schema = 2026-11-21", ": schema: 2026-11-21 is not a schema that this version reads; it must be 1."),
@@ -47,7 +47,7 @@ def refused(tmp_path: Path, job: str | bytes) -> str:
         (("a" + ".a" * 4000 + " = 1\n") * 50, ": is not TOML: Cannot overwrite a value (at line 2, column 8006)."),
         (
             f'schema = 1\nrobot.urdf = """\n{"x" * 999}\n{"x" * 999}"""',
-            f": the text '{'x' * 60}...' is longer than 1000",
+            f": robot.urdf: the text '{'x' * 60}...' is longer than 1000",
         ),
         ('schema = 1\nrobot.urdf = "\\ud800"', ": is not TOML: Escaped character is not a Unicode scalar value"),
         ("schema = 1".encode("utf-16"), ": is not UTF-8 text; save it as UTF-8."),

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from calib.foundations.csv_text import csv_text, has_formula
+from calib.foundations.csv_text import csv_cell, csv_text, has_formula
 from calib.foundations.errors import RobotError
+from calib.measurement.read import read_measurements
 from calib.robot.load import load_robot
 from calib.robot.urdf import parse_urdf
-from tests.support.cases import JOB, TABLE, URDF, Said, copy_case, edit, run
+from tests.support.cases import CASE, JOB, TABLE, URDF, Said, copy_case, edit, run
 
 SCRIPT = "<script>alert(1)</script><img src=x onerror=alert(2)>"
 # The terminal's own codes: red, clear, a link, a title, a line overwritten, text turned round.
@@ -136,3 +137,14 @@ def test_joints_with_names_of_formulas_are_refused(name: str) -> None:
     with pytest.raises(RobotError) as caught:
         load_robot(parse_urdf(f'{urdf}<child link="b"/></joint></robot>'.encode(), "arm.urdf"))
     assert str(caught.value) == f"arm.urdf: joint {name!r} has the name of a spreadsheet's formula; rename it."
+
+
+@pytest.mark.parametrize("tool", ["=1+1", "+B", "x;=2", "a,@b", "\uff1d1", "it's", "o'=x"])
+def test_a_name_that_was_marked_is_read_as_it_was(tool: str, tmp_path: Path) -> None:
+    """A table that is written and read again has the tools that it had."""
+    lines = (CASE / TABLE).read_text(encoding="utf-8").splitlines()
+    head, *rows = [line for line in lines if not line.startswith("#")][:3]
+    named = [f"{head}, tool", *(f"{row}, {csv_cell(tool)}" for row in rows)]
+    (tmp_path / "measured.csv").write_text("\n".join(named) + "\n", encoding="utf-8")
+    robot = load_robot(CASE / URDF, tip="probe")
+    assert read_measurements(tmp_path / "measured.csv", robot).tools == (tool,)

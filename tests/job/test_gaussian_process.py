@@ -124,6 +124,25 @@ def test_wrong_residual_models_are_refused(kind: str, sentence: str, tmp_path: P
     with path.open("a", encoding="utf-8") as stream:
         stream.write(LEVELS.replace('kind = "gaussian_process"', kind))
     with pytest.raises(JobError) as caught:
-        run(load(path))
+        load(path)
     assert sentence in str(caught.value)
     assert str(caught.value).startswith(str(path))
+
+
+def test_a_payload_on_another_link_leaves_it_one_arm(tmp_path: Path) -> None:
+    path = cases.copy_case(tmp_path)
+    text = path.read_text(encoding="utf-8")
+    heavy = '[robot]\npayload = { mass = "1 kg", link = "link_5" }'
+    assert "[robot]" in text
+    path.write_text(text.replace("[robot]", heavy) + LEVELS, encoding="utf-8")
+    outcome = run(load(path))
+    assert len(outcome.machine.robot.links) == 2
+    assert "gaussian-process-left-out" in {finding.code for finding in outcome.findings}
+
+
+def test_two_tips_are_refused(tmp_path: Path) -> None:
+    path = cases.copy_case(tmp_path)
+    text = path.read_text(encoding="utf-8").replace('use = "validate"', 'tip = "link_5"')
+    path.write_text(text + LEVELS, encoding="utf-8")
+    with pytest.raises(JobError, match=r"levels\[1\]\.residual_model: is of one tip, .* several: 'link_5', 'probe'"):
+        load(path)

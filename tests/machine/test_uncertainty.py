@@ -270,6 +270,10 @@ def test_what_is_called_as_the_file_and_is_none_is_refused(tmp_path: Path) -> No
             lambda c: c["waves"]["period"].update(elbow_joint=0.0),
             "is not a file of this toolkit, or is damaged, at waves.period.elbow_joint",
         ),
+        (
+            lambda c: c["waves"]["period"].update(elbow_joint=5e-324),
+            "is not a file of this toolkit, or is damaged, at waves.period.elbow_joint",
+        ),
         *(
             (
                 lambda c, key=key, value=value: c["position"].update({key: value}),
@@ -288,6 +292,7 @@ def test_what_is_called_as_the_file_and_is_none_is_refused(tmp_path: Path) -> No
         "waves",
         "orders",
         "period",
+        "short",
         *("model", "total", "freedom"),
     ],
 )

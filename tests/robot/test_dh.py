@@ -181,6 +181,16 @@ def test_a_mimic_joint_has_no_place_in_a_table() -> None:
         dh.dh_of(machines.load(machines.INLINE["mimic"], "tip"))
 
 
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_links_of_the_arm_itself_leave_it_one_arm(convention: str) -> None:
+    """As the link of a payload, or of a camera; what stands behind the tip, or on another branch, is another arm."""
+    urdf = ROOT / "robots" / "arm_cmm" / "arm_cmm.urdf"
+    one, more = calib.load_robot(urdf, tip="probe"), calib.load_robot(urdf, tip="probe", links=["link_5"])
+    assert dh.dh_of(more, convention).rows == dh.dh_of(one, convention).rows
+    with pytest.raises(RobotError, match="a DH table is of one arm, not of 2 links"):
+        dh.dh_of(more.with_tip("link_5"), convention)
+
+
 # ---- files
 
 

@@ -180,7 +180,7 @@ def dh_frames(robot: Robot, convention: Convention = "standard", parallel: float
         raise RobotError(f"parallel: {parallel!r} is not an angle between 0 and {MOST_PARALLEL} rad.")
     if robot.loops:
         raise RobotError(f"{robot.urdf.where}: an arm with closed loops has no DH table; free placements instead.")
-    if len(robot.links) > 1:
+    if robot.tip_joint != len(robot.chain) - 1 or any(joint.parent != i - 1 for i, joint in enumerate(robot.chain)):
         raise RobotError(f"{robot.urdf.where}: a DH table is of one arm, not of {len(robot.links)} links.")
     modified = convention == "modified"
     elements, steps, slides = _walk(robot, parallel, modified=modified)
