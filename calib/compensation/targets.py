@@ -140,13 +140,18 @@ def corrections(
     if not found.reached.any():
         table, joints = wanted.table, len(_needed(model, wanted.tools))
         sought_poses = what == "pose" and (wanted.poses is None or wanted.poses.ndim == 3)
-        few = (
-            f" An arm of {joints} joints meets a pose of the nominal one only nearly; ask for its position alone "
-            '(what = "position", --what position).'
-        )
+        hint = ""
+        if sought_poses and joints < _OF_A_POSE:
+            hint = (
+                f" An arm of {joints} joints meets a pose of the nominal one only nearly; ask for its position alone "
+                '(what = "position", --what position).'
+            )
+        elif wanted.poses is not None:
+            other: PoseFrame = "instrument" if frame == "base" else "base"
+            hint = f" They are taken to be in the frame of the {frame}; --frame {other} takes them in the other one."
         raise MeasurementError(
             f"{table.where}: none of the {len(found)} targets can be reached; that of line {table.lines[0]}: "
-            f"{found.reasons[0]}.{few if sought_poses and joints < _OF_A_POSE else ''}"
+            f"{found.reasons[0]}.{hint}"
         )
     return found
 

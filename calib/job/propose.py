@@ -64,7 +64,7 @@ def propose(
     tables: list[ProposedTable] = []
     robot: Robot | None = None
     try:
-        if not files:
+        if len(files) == 0:
             raise _tip_question(document, chains(document, tip))
         for file in files:
             raw = raw_table(read_bytes(Path(file), MeasurementError), str(file))

@@ -42,9 +42,7 @@ def refuse_levels(
             if file not in (nodes if residual else files):
                 known = ", ".join(map(repr, nodes if residual else files)) or "none"
                 kind = "nodes" if residual else "identify"
-                raise JobError(
-                    f'{path}: levels[{i}].measurements: {file!r} has not use = "{kind}", which {known} have.'
-                )
+                raise JobError(f'{path}: levels[{i}].measurements: {file!r} has not use = "{kind}"; with it: {known}.')
     if not nodes and any(level.residual_model and level.residual_model.kind == "grid" for level in job.levels):
         raise JobError(f'{path}: levels: no measurements have use = "nodes", and a residual grid is made of these.')
     if nodes and not any(level.residual_model for level in job.levels):
