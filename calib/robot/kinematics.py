@@ -187,10 +187,12 @@ class Regressor:
 def followed(numbers: Array, by: Array, found: Array) -> None:
     """Write how numbers follow c unknowns (d, N, c), from what :meth:`Regressor.through` makes of them.
 
-    ``by`` (6 (w + 1), c): how the local twists of the carriers do, component by component, turns last.
+    ``by`` (6 (w + 1), c): how the local twists of the carriers do, component by component, turns last. ``found`` is in
+    one piece, so that one product writes all of it.
     """
     each, s, d, n = numbers.shape
-    np.matmul(numbers.reshape(each * s, d, n).transpose(1, 2, 0), by[-each * s :], out=found)
+    assert found.flags.c_contiguous, "what is written to is not a copy"
+    np.matmul(numbers.reshape(each * s, d * n).T, by[-each * s :], out=found.reshape(d * n, by.shape[1]))
 
 
 def _along(rows: Array, axes: Array, found: Array) -> Array:
