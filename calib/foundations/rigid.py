@@ -7,7 +7,7 @@ expressed in the local frame of ``T``.
 
 import numpy as np
 
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.linear import svd
 
 _SMALL_ANGLE = 1e-4
@@ -24,9 +24,11 @@ def skew(v: Array) -> Array:
     return np.asarray((v @ _CROSS).reshape(*v.shape, 3))
 
 
-# For a turn about x, y and z: which matrices (9) it is made of, times 1, its cosine and its sine; these come last.
-_TURNS = np.array([[np.outer(e, e), np.eye(3) - np.outer(e, e), skew(e)] for e in np.eye(3)]).reshape(3, 3, 9)
-_TURNS = np.ascontiguousarray(_TURNS.transpose(0, 2, 1))
+# Of a turn about x, y and z: what is multiplied by 1, by its cosine and by its sine.
+_TURNS = np.array([[np.outer(e, e), np.eye(3) - np.outer(e, e), skew(e)] for e in np.eye(3)])
+# Of Rx Ry Rz (27, 3, 3), and of Rz: what is multiplied by each of the products of :func:`products_of_turns`.
+RX_RY_RZ = read_only(np.einsum("aij,bjk,ckl->abcil", *_TURNS).reshape(27, 3, 3))
+RZ = read_only(np.concatenate([_TURNS[2], np.zeros((24, 3, 3))]))
 
 
 def placement(rotation: Array, translation: Array) -> Array:
@@ -130,17 +132,23 @@ def left_jacobian_inverse(w: Array) -> Array:
 
 def rx_ry_rz(angles: Array) -> Array:
     """Return Rx(a) Ry(b) Rz(c) (..., 3, 3) of angles (..., 3)."""
-    x, y, z = turns(angles)
-    return np.asarray(product(x, product(y, z)) + 0.0)  # no zero keeps a minus
+    found = products_of_turns(angles) @ RX_RY_RZ.reshape(27, 9)
+    return np.asarray(found.reshape(*angles.shape, 3) + 0.0)  # no zero keeps a minus
 
 
-def turns(angles: Array) -> Array:
-    """Return Rx(a), Ry(b) and Rz(c) (3, ..., 3, 3) of angles (..., 3)."""
+def products_of_turns(angles: Array) -> Array:
+    """Return the products (..., 27) of 1, cosine or sine of each of three angles (..., 3), in the order of these.
+
+    What turns by all three are made of is linear in them.
+    """
     own = angles.reshape(-1, 3).T
-    shares = np.empty((3, *own.shape))
-    shares[:, 0], shares[:, 1], shares[:, 2] = 1.0, np.cos(own), np.sin(own)
-    # Rows last in memory: of many, products of these are then made at once.
-    return np.asarray((_TURNS @ shares).reshape(3, 3, 3, -1).transpose(0, 3, 1, 2).reshape(3, *angles.shape, 3))
+    # Rows last in memory, so that what is done to all of them is done at once.
+    factors = np.empty((3, *own.shape))
+    factors[0] = 1.0
+    np.cos(own, out=factors[1])
+    np.sin(own, out=factors[2])
+    x, y, z = factors[:, None, None, 0], factors[:, None, 1], factors[:, 2]
+    return (x * y * z).reshape(27, -1).T.reshape(*angles.shape[:-1], 27)
 
 
 def rpy_of(R: Array) -> Array:

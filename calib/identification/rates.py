@@ -20,7 +20,7 @@ from calib.identification.rows import (
     scalars_of,
     setups_of,
 )
-from calib.identification.selection import Selection
+from calib.identification.selection import NO_FRAME, Selection
 from calib.identification.set_up_motions import TargetsFollowed
 from calib.measurement.measurements import Measurements
 from calib.measurement.streams.stream import SHIFTS
@@ -127,7 +127,7 @@ class Rates:
             if seats:
                 group = np.array(setups)
                 for _, on, seat in seats:
-                    base[on], group[on] = rigid.inverse(seat.placement), len(frames.bases)
+                    base[on], group[on] = rigid.inverse(seat.placement), NO_FRAME
             held = held_at(motion.tip, frames.tools, tool, None, rows)
             tools, targets = rigid.product(base, held), frames.targets[target]
             seen = Seen(data, rows, tools, targets[:0], targets, scalars_of(data, frames))
@@ -136,7 +136,7 @@ class Rates:
             J = self._through_robot(data.tip, in_base, motion, held, tool, group)
             for link, on, seat in seats:
                 back = [follow.of(on).negative() for follow in in_base]
-                J[on] += self._through_robot(link, back, seat, held[on], -1, len(frames.bases))
+                J[on] += self._through_robot(link, back, seat, held[on], NO_FRAME, NO_FRAME)
             self._complete(J, data, observed, target)
             by_own, block = (None, None) if whose is None else (J[:, :, c:], whose[at])
             yield Block(rows, observed, J[:, :, :c], by_own, block, (Moved(observed.tool, tools),), ())
@@ -150,8 +150,7 @@ class Rates:
 
     def blocks(self, data: Measurements) -> Iterator[Block]:
         """Yield the rows of one set, block by block."""
-        frames, tip, none = self._frames, self._links[data.tip], len(self._frames.bases)
-        c, whose = self._selection.common, self.whose(data)
+        frames, tip, whose, c = self._frames, self._links[data.tip], self.whose(data), self._selection.common
         for rows in row_blocks(data):
             setups, tool, others, there = setups_of(data, rows), one_or_all(data.tool[rows], data.tools), None, None
             base, group = np.asarray(frames.bases[setups]), setups
@@ -170,7 +169,7 @@ class Rates:
             if seats:
                 group = np.array(setups)
                 for _, own, seat in seats:
-                    base[own], group[own] = rigid.inverse(seat.placement), none
+                    base[own], group[own] = rigid.inverse(seat.placement), NO_FRAME
             held = held_at(motion.tip, frames.tools, tool, data.points, rows)
             observed, ends = observed_rows(data, rows, frames, base, held, others)
             moved = [Moved(observed.tool, ends[0])]
@@ -186,9 +185,9 @@ class Rates:
                 # What is seen from a link that moves, moves the other way.
                 back = [follow.of(own).negative() for follow in in_base]
                 then = None if clock is None else (readings[own], clock.subset(own))
-                J[own] += self._through_robot(link, back, seat, held[own], -1, none, then)
+                J[own] += self._through_robot(link, back, seat, held[own], NO_FRAME, NO_FRAME, then)
             self._complete(J, data, observed, data.target[rows])
-            on_floor: IntArray | slice = np.flatnonzero(group < none) if seats else slice(None)
+            on_floor: IntArray | slice = np.flatnonzero(group != NO_FRAME) if seats else slice(None)
             grounds = ((None, on_floor), *((link, these) for link, these, _ in seats))
             by_own, block = (None, None) if whose is None else (J[:, :, c:], whose[rows])
             yield Block(rows, observed, J[:, :, :c], by_own, block, tuple(moved), grounds)
@@ -206,7 +205,7 @@ class Rates:
         """Return derivatives (n, d, c + a) of numbers that follow a tool on a link, or the link itself, in the base.
 
         ``at`` (n, 4, 4): where what they follow is in the base. ``tool`` and ``group``, the set-up: numbers (n,) of
-        rows, or the one of all; the last frame, which follows nothing, where there is none. ``then``: the readings (n,
+        rows, or the one of all; ``NO_FRAME`` where there is none. ``then``: the readings (n,
         nr) of rows of a stream, and how these depend on its clock.
         """
         # By row of the numbers, so that a product leaves all that it makes in one piece.
@@ -255,18 +254,13 @@ class Rates:
     def _by_parameters(self, link: str, group: int, tool: int) -> Array:
         """Return how local twists of what carries a link follow the parameters (6 (w + 1), c + a).
 
-        With the base of a set-up, or none for what is told in another link, and one of the tools, or -1 for none.
+        With the base of a set-up, none for what is told in another link, and one of the tools, or none.
         """
         key = link, group, tool
         if key not in self._by:
-            by_robot, tool_twists = self._carrying(link)
-            own, base_twists, found = self._selection, self._at.base_twists, by_robot.copy()
-            by_carrier = found.reshape(6, -1, own.width)
-            if group < len(base_twists):
-                by_carrier[:, 0] += base_twists[group] @ own.each_base[group]
-            if tool >= 0:
-                by_carrier[:, -1] += tool_twists[tool] @ own.each_tool[tool]
-            self._by[key] = found
+            at, own = self._at, self._selection
+            follow = self._links[link].follow_with(at.base_twists[group], at.frames.tools[tool], at.tool_twists[tool])
+            self._by[key] = follow @ np.concatenate([own.of_robot, own.each_base[group], own.each_tool[tool]])
         return self._by[key]
 
     def _clock(self, data: Measurements, rows: slice) -> "_Clocked | None":

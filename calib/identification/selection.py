@@ -9,11 +9,15 @@ from calib.identification.arrow import Split
 from calib.identification.elimination import Things
 from calib.identification.machine import States
 
+# The number of no base, or no tool: the last of what has one entry more than there are.
+NO_FRAME = -1
+
 
 class FramesFollow(NamedTuple):
     """How frames follow parameters: of each, the derivatives ``by`` (k + 1, 6, w) those of w ``columns`` (k + 1, w).
 
-    No frame follows more than a few, so that its other columns are not written out. Last: no frame, which follows none.
+    No frame follows more than a few, so that its other columns are not written out. Last, where ``NO_FRAME`` points: no
+    frame, which follows none.
     """
 
     columns: IntArray
@@ -57,8 +61,8 @@ class FramesFollow(NamedTuple):
 
     @property
     def every(self) -> IntArray:
-        """The numbers of all frames."""
-        return np.arange(len(self.by) - 1)
+        """The numbers of all frames, and last that of none."""
+        return np.arange(len(self.by))
 
     def following(self, width: int) -> IntArray:
         """Return which frames follow some of the first parameters."""
@@ -70,8 +74,8 @@ class Selection:
 
     Columns are those of the c common parameters, then a that all blocks share: a row is about one block at most.
     ``of_robot``, ``of_terms`` and ``of_scalars``: parts of the state (k, c + a) as they follow them; ``of_bases``,
-    ``of_tools`` and ``of_targets``: frames. ``each_base`` and ``each_tool`` (k, 6, c + a): the first two, written out,
-    of which there are few. ``block`` (t + 1,): of all ``things``, as
+    ``of_tools`` and ``of_targets``: frames. ``each_base`` and ``each_tool`` (k + 1, 6, c + a): the first two, written
+    out, of which there are few, then none. ``block`` (t + 1,): of all ``things``, as
     :meth:`calib.identification.elimination.Things.in_blocks` has it.
     """
 

@@ -9,23 +9,40 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, read_only
 
 COMPONENTS = ("tx", "ty", "tz", "rx", "ry", "rz")
 
 
 class Motions(NamedTuple):
-    """What n deviations d make: ``E`` (n, 4, 4), as :func:`motion` has it, and ``W`` (n, 6, 6) of :func:`twists`."""
+    """What deviations d make: the motions ``E`` (..., 4, 4), and how these follow: ``W`` (..., 6, 6).
+
+    ``E(d + e) = E(d) exp(W e)`` to first order in e: column k of W is the local twist of component k.
+    """
 
     E: Array
     W: Array
 
     @classmethod
     def of(cls, d: Array) -> "Motions":
-        """Return those of deviations (n, 6) in m and rad."""
-        x, y, z = rigid.turns(d[:, 3:])
-        R = rigid.product(x, rigid.product(y, z))
-        return cls(rigid.placement(R, d[:, :3]), _twists(R, z))
+        """Return those of deviations (..., 6) in m and rad."""
+        products = rigid.products_of_turns(d[..., 3:])
+        E, W = (products @ _E).reshape(*d.shape[:-1], 4, 4), (products @ _W).reshape(*d.shape, 6)
+        E[..., :3, 3] = d[..., :3]
+        return cls(E, W)
+
+
+def _of_products() -> tuple[Array, Array]:
+    """Return how E without its translation (27, 16), and W (27, 36), follow the products of turns."""
+    R, E, W = rigid.RX_RY_RZ, np.zeros((27, 4, 4)), np.zeros((27, 6, 6))
+    E[:, :3, :3], E[0, 3, 3] = R, 1.0
+    # A translation is seen through the rotation that follows it, and each of the three rotations through those on its
+    # right: rows of Ry Rz and of Rz, and Rx, on the left, leaves the first row of R as it is.
+    W[:, :3, :3], W[:, 3:, 3], W[:, 3:, 4], W[0, 5, 5] = np.swapaxes(R, 1, 2), R[:, 0], rigid.RZ[:, 1], 1.0
+    return read_only(E.reshape(27, 16)), read_only(W.reshape(27, 36))
+
+
+_E, _W = _of_products()
 
 
 def motion(d: Array) -> Array:
@@ -34,21 +51,8 @@ def motion(d: Array) -> Array:
 
 
 def twists(d: Array) -> Array:
-    """Return the matrices W (..., 6, 6) with ``E(d + e) = E(d) exp(W e)`` to first order in e.
-
-    Column k is the local twist of component k: a translation is seen through the rotation that follows it, and each of
-    the three rotations through those on its right.
-    """
-    x, y, z = rigid.turns(d[..., 3:])
-    return _twists(rigid.product(x, rigid.product(y, z)), z)
-
-
-def _twists(R: Array, z: Array) -> Array:
-    W = np.zeros((*R.shape[:-2], 6, 6))
-    W[..., :3, :3] = np.swapaxes(R, -1, -2)
-    # Rows of Ry Rz and Rz: Rx, on the left, leaves the first row of R as it is.
-    W[..., 3:, 3], W[..., 3:, 4], W[..., 5, 5] = R[..., 0, :], z[..., 1, :], 1.0
-    return W
+    """Return the matrices W (..., 6, 6) of :class:`Motions`."""
+    return Motions.of(d).W
 
 
 def axis_frame(axis: Array) -> Array:

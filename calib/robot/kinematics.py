@@ -199,10 +199,12 @@ class Regressor:
 def followed(numbers: Array, by: Array, found: Array) -> None:
     """Write how numbers follow c unknowns (d, N, c), from what :meth:`Regressor.through` makes of them.
 
-    ``by`` (6 (w + 1), c): how the local twists of the carriers do, component by component, turns last.
+    ``by`` (6 (w + 1), c): how the local twists of the carriers do, component by component, turns last. ``found`` is in
+    one piece, so that one product writes all of it.
     """
     each, s, d, n = numbers.shape
-    np.matmul(numbers.reshape(each * s, d, n).transpose(1, 2, 0), by[-each * s :], out=found)
+    assert found.flags.c_contiguous, "what is written to is not a copy"
+    np.matmul(numbers.reshape(each * s, d * n).T, by[-each * s :], out=found.reshape(d * n, by.shape[1]))
 
 
 def _along(rows: Array, axes: Array, found: Array) -> Array:
@@ -227,6 +229,7 @@ class Joints:
         # The static regressor is the placements of all joints, each over the mass of all: here 1.
         self._model.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
         self._data = self._model.createData()
+        self._turned, self._shifted = (own.reshape(rows, nj, *own.shape[1:]) for own in _placed(self._model))
         self._placed_by: Array | None = None
 
     def carriers(self, placements: Array, q: Array) -> Array:
@@ -235,9 +238,7 @@ class Joints:
         ``placements`` (nj, 4, 4) of the joints are those of :class:`Tree`; at configurations q (N, nj) in rad or m.
         """
         if self._placed_by is not placements:
-            placed, own = self._model.jointPlacements, [pin.SE3(T) for T in placements]
-            for j, T in enumerate(own * self._rows):
-                placed[j + 1] = T
+            self._turned[:], self._shifted[:] = placements[:, :3, :3], placements[:, :3, 3]
             self._placed_by = placements
         (n, nj), rows = q.shape, self._rows
         filled = np.zeros((-(-n // rows) * rows, nj))
@@ -337,6 +338,23 @@ def _model(tree: Tree) -> pin.Model:
         joint = pin.JointModelRZ() if kind == "revolute" else pin.JointModelPZ()
         model.addJoint(parent + 1, joint, pin.SE3(T), f"joint_{i}")
     return model
+
+
+def _placed(model: pin.Model) -> tuple[Array, Array]:
+    """Return where the joints of a model are placed, rotations (nj, 3, 3) and origins (nj, 3), to be written to.
+
+    To place them by calls of Pinocchio's, one by one, takes as long as to walk several rows.
+    """
+    root, first, last = (model.jointPlacements[j] for j in (0, 1, model.nv))
+    # Pinocchio shows its own memory, a std::vector: all are as far from each other as the first from the root.
+    step = first.translation.ctypes.data - root.translation.ctypes.data
+    turned, shifted = (
+        np.lib.stride_tricks.as_strided(own, (model.nv, *own.shape), (step, *own.strides))
+        for own in (first.rotation, first.translation)
+    )
+    for own, same in ((turned, last.rotation), (shifted, last.translation)):
+        assert np.shares_memory(own[-1], same), "what is written to is where Pinocchio reads"
+    return turned, shifted
 
 
 def way(parents: Sequence[int], joint: int) -> tuple[int, ...]:

@@ -8,13 +8,13 @@ follow from closed loops.
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked, own_fields, refuse_fields
-from calib.foundations.arrays import Array, read_only
+from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
@@ -25,13 +25,15 @@ from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import STANDARD_GRAVITY, Holding, Load, Payload, Weights, checked_gravity, checked_payload
 from calib.robot.kinematics import Joints, Kinematics, MovingType, Regressor, followed
 from calib.robot.loops import Closure, Loop, passive_joints
-from calib.robot.skeleton import Outline, Segment, follow
+from calib.robot.skeleton import Outline, Segment
 from calib.robot.terms import JointTerm
 from calib.robot.transmission import Bases, Flexures, TermShares, Transmission, flexures
 from calib.robot.urdf import Urdf
 
 # In rad and m. Degrees taken for radians, and millimetres for metres, are still within.
 LARGEST_READING = 1e8
+# Where the base is in the first carrier, and the twists of a frame that follows nothing.
+_AT_BASE, _NOTHING = read_only(np.eye(4)[None]), read_only(np.zeros((6, 6)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,15 +134,12 @@ class TipMotion:
     """Tip placements over N rows, and what follows how the robot deviates, with exact derivatives.
 
     ``tip``: where it is, and how it follows its carriers: the base, and the moving joints on its way. The local twists
-    of these for a change ``e`` of the deviations (placements row by row, then offsets) are ``follow @ e``, with
-    ``follow`` (6 (w + 1), n), component by component, the same for all rows; the ways in which links give way are
-    joints as well. ``rates`` (N,
-    k, n): how passive joints of closed loops follow deviations; k is 0 without loops. ``bases``: what terms add per
-    unit of their coefficients; None without terms.
+    of these follow the deviations as ``model.follow`` says, the same for all rows; the ways in which links give way are
+    joints as well. ``rates`` (N, k, n): how passive joints of closed loops follow deviations; k is 0 without loops.
+    ``bases``: what terms add per unit of their coefficients; None without terms.
     """
 
     tip: Regressor
-    follow: Array
     rates: Array
     bases: Bases | None
     model: "TipModel"
@@ -155,8 +154,8 @@ class TipMotion:
     def by_deviations(self) -> Array:
         """The local twists (N, 6, n) of the tip for placements row by row, then offsets."""
         numbers = self.tip.through(*self.tip.local)
-        found = np.empty((6, len(self.rates), self.follow.shape[1]))
-        followed(numbers, self.follow, found)
+        found = np.empty((6, len(self.rates), self.model.follow.shape[1]))
+        followed(numbers, self.model.follow, found)
         return np.asarray(found.transpose(1, 0, 2) + self.by_passive(numbers) @ self.rates)
 
     @property
@@ -433,10 +432,22 @@ class TipModel:
 
     @cached_property
     def follow(self) -> Array:
-        """How local twists of the tip's carriers follow the deviations (6 (w + 1), n): as in :class:`TipMotion`."""
-        by_placement = self._mechanism.of_chain(follow(self._skeleton, self._tip))
-        every = np.concatenate([by_placement, self._nominal.by_offset(self._tip)], axis=2)
-        return every.reshape(-1, every.shape[2])
+        """How local twists of the tip's carriers follow the deviations (6 (w + 1), n), component by component.
+
+        Deviations are placements row by row, then offsets.
+        """
+        return self.follow_with(_NOTHING, np.eye(4), _NOTHING)[:, :-12]
+
+    def follow_with(self, base_twists: Array, tool: Array, tool_twists: Array) -> Array:
+        """Return how local twists of the tip's carriers follow deviations, base and tool (6 (w + 1), n + 12).
+
+        The base link has ``base_twists`` (6, 6) for changes of six values of its own; so has a ``tool`` (4, 4) in the
+        tip. As in :attr:`follow`, then by these.
+        """
+        s, own = self._skeleton, self._nominal.carrying(self._tip)
+        placed = np.concatenate([s.carried[own.segments], _AT_BASE, (self.end @ tool)[None]])
+        twists = np.concatenate([s.twists[own.segments], base_twists[None], tool_twists[None]])
+        return own.written(rigid.adjoint(placed) @ twists)
 
     def joint_positions(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
@@ -456,10 +467,10 @@ class TipModel:
         bases = None if self._terms is None else self._terms.bases(readings, conditions)
         q = self._positions(readings, conditions, bases)
         if self._closure is None:
-            rates = np.zeros((len(q), 0, self.follow.shape[1]))
+            rates = np.zeros((len(q), 0, self._nominal.unknowns))
         else:
             rates = self._mechanism.of_chain(self._passive_rates(q)[0])
-        return TipMotion(self._kinematics.regressors(q)[0], self.follow, rates, bases, self, q)
+        return TipMotion(self._kinematics.regressors(q)[0], rates, bases, self, q)
 
     def driven(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> tuple[Array, Array]:
         """Return tip placements (N, 4, 4) and the local twists (N, 6, nr) of the tip per change of the readings.
@@ -517,8 +528,30 @@ class TipModel:
         return self._rates[1]
 
 
+class Carrying(NamedTuple):
+    """What is the same of any machine in how the carriers of a frame follow deviations, base and a tool.
+
+    ``segments`` (m): those on the way to the frame that have deviations. Local twists of these, of the base and of the
+    tool for six values of their own (m + 2, 6, 6) are all that differs, and stand at ``entries`` of the matrix (6 (w +
+    1), n + 12) that is asked for; ``rest`` has the others of it, what joint offsets do.
+    """
+
+    segments: IntArray
+    entries: IntArray
+    rest: Array
+
+    def written(self, twists: Array) -> Array:
+        """Return the matrix for local twists in the carriers."""
+        found = self.rest.copy()
+        found.reshape(-1)[self.entries] = twists
+        return found
+
+
 class Nominal:
-    """What models of a robot share, whatever its tip and deviations. Not to be shared by threads."""
+    """What models of a robot share, whatever its tip and deviations. Not to be shared by threads.
+
+    ``unknowns``: how many deviations of placements, and offsets of joints, there are.
+    """
 
     def __init__(self, robot: Robot) -> None:
         self.mechanism, flexures, of_chain = robot.mechanism, robot.flexures, segments(robot)
@@ -527,19 +560,31 @@ class Nominal:
         self.holding = None if robot.weights is None or not robot.terms else Holding(robot.weights)
         names = [reading.name for reading in robot.readings]
         self.terms = TermShares(robot.terms, names, flexures, of_chain) if robot.terms else None
-        self._by_offset: dict[int, Array] = {}
+        self.unknowns = 6 * len(self.mechanism.placed) + self.mechanism.offset_coupling.shape[1]
+        self._carrying: dict[int, Carrying] = {}
 
-    def by_offset(self, joint: int) -> Array:
-        """Return how local twists of what carries the end of a joint follow the offsets (6, w + 1, nj)."""
-        if joint not in self._by_offset:
-            m, way = self.mechanism, self.outline.path(joint).way
-            found = np.zeros((6, len(way) + 1, m.offset_coupling.shape[1]))
-            for k, j in enumerate(way):
-                if j not in self.passive:
-                    # A joint's own motion commutes with a change of its position: the same for all rows.
-                    found[5 if self.outline.types[j] == "revolute" else 2, k + 1] = m.offset_coupling[j]
-            self._by_offset[joint] = found
-        return self._by_offset[joint]
+    def carrying(self, joint: int) -> Carrying:
+        """Return how what carries the end of a joint follows any machine."""
+        if joint not in self._carrying:
+            self._carrying[joint] = self._carried(joint)
+        return self._carrying[joint]
+
+    def _carried(self, joint: int) -> Carrying:
+        m, path = self.mechanism, self.outline.path(joint)
+        s, n = len(path.way) + 1, self.unknowns
+        rest = np.zeros((6, s, n + 12))
+        for k, j in enumerate(path.way):
+            if j not in self.passive:
+                # A joint's own motion commutes with a change of its position: the same for all rows.
+                component = 5 if self.outline.types[j] == "revolute" else 2
+                rest[component, k + 1, 6 * len(m.placed) : n] = m.offset_coupling[j]
+        # Of the segments, those that are none of the chain's give way, and do not deviate.
+        _, of_chain, on_way = np.intersect1d(m.placed, path.segments, return_indices=True)
+        carriers = np.array([*path.carriers[on_way], 0, s - 1])
+        columns = np.array([*(6 * of_chain), n, n + 6])
+        rows = s * np.arange(6) + carriers[:, None]
+        entries = (n + 12) * rows[:, :, None] + columns[:, None, None] + np.arange(6)
+        return Carrying(path.segments[on_way], entries, rest.reshape(6 * s, -1))
 
 
 class Nominals(dict[Robot, Nominal]):

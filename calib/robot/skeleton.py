@@ -60,7 +60,8 @@ class Skeleton(NamedTuple):
 class Path(NamedTuple):
     """The way from the base to a frame: moving joints ``way`` (w), by number, and all ``segments`` (m), by index.
 
-    ``carriers`` (m): which of the carriers of the frame carries each: 0 for the base, k + 1 for joint k of the way.
+    ``carriers`` (m): which of the carriers of the frame carries each: 0 for the base, k + 1 for joint k of the way. A
+    carrier is the base, or a moving joint on the way after its own motion, with all that is fixed to it.
     """
 
     way: tuple[int, ...]
@@ -118,18 +119,6 @@ class Outline:
         for i, parent in self._fixed:
             carried[i] = carried[parent] @ placed[i]
         return Skeleton(self, placed, carried, motions.W, Tree(self.types, self.parents, carried[self._moving]))
-
-
-def follow(s: Skeleton, joint: int) -> Array:
-    """Return how local twists of what carries the end of a joint follow the deviations (6, w + 1, 6 n).
-
-    A carrier is the base, or a moving joint on the way after its own motion, with all that is fixed to it.
-    """
-    path = s.outline.path(joint)
-    found = np.zeros((6, len(path.way) + 1, len(s.placed), 6))
-    own = rigid.carried(s.carried[path.segments], s.twists[path.segments])
-    found[:, path.carriers, path.segments] = own.transpose(1, 0, 2)
-    return found.reshape(*found.shape[:2], -1)
 
 
 def derivative(s: Skeleton, joint: int) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import pytest
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.robot.kinematics import Follow, Frame, Kinematics, Tree, followed
+from calib.robot.kinematics import Follow, Frame, Joints, Kinematics, Tree, followed
 
 # Joints that turn and slide, on a trunk and two branches.
 TYPES, PARENTS = ("revolute", "prismatic", "revolute", "revolute", "prismatic", "revolute"), (-1, 0, 1, 1, 3, 4)
@@ -52,6 +52,15 @@ def test_regressors_are_those_of_pinocchio(tree: Tree, frames: list[Frame], rows
             np.testing.assert_allclose(found.matrix[n], expected, atol=1e-12)
             jacobian = pin.computeFrameJacobian(model, data, q_n, number, pin.ReferenceFrame.LOCAL)
             np.testing.assert_allclose(found.by_joint(TYPES, range(len(TYPES)))[n], jacobian, atol=1e-12)
+
+
+def test_joints_that_were_placed_otherwise_before_are_placed_anew(tree: Tree, frames: list[Frame]) -> None:
+    rng, joints = np.random.default_rng(7), Joints(TYPES, PARENTS)
+    q = rng.normal(size=(9, len(TYPES)))
+    for _ in range(3):
+        other = tree._replace(placements=placed(rng, (len(TYPES),)))
+        found = Kinematics(other, frames, joints).placements(q)
+        np.testing.assert_array_equal(found, Kinematics(other, frames).placements(q))
 
 
 @pytest.mark.parametrize("what", ["shifts and turns", "shifts", "turns"])
