@@ -12,8 +12,8 @@ import calib
 from calib.foundations.errors import PoseError, RobotError
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
-from calib.machine.calibrated import machine_of
 from calib.machine.model_file import model_json
+from calib.machine.of_fit import machine_of
 from calib.machine.urdf import calibrated_urdf
 from calib.robot.load import load_robot, with_document
 from calib.robot.loops import at_dead_centre
