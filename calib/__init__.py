@@ -43,15 +43,16 @@ if TYPE_CHECKING:
     from calib.identification.identify import identify
     from calib.identification.parameters import Priors
     from calib.job.calibrate import calibrate
-    from calib.machine.calibrated import CalibratedMachine, machine_of
+    from calib.machine.calibrated import CalibratedMachine
+    from calib.machine.in_urdf import write_urdf
     from calib.machine.model_file import load_machine
-    from calib.machine.urdf import write_urdf
+    from calib.machine.of_fit import machine_of
     from calib.measurement.arrays import poses, positions
     from calib.measurement.measurements import Measurements
     from calib.measurement.read import read_measurements
+    from calib.presentation.fit_tables import table
     from calib.presentation.frames import data_frame
     from calib.presentation.plots import plot
-    from calib.presentation.tables import table
     from calib.results.calibration import Calibration, assess
     from calib.results.folder import report, save, scene
     from calib.robot import dh
@@ -72,15 +73,16 @@ _HOMES = {
     "identification.identify": "identify",
     "identification.parameters": "Priors",
     "job.calibrate": "calibrate",
-    "machine.calibrated": "CalibratedMachine machine_of",
+    "machine.calibrated": "CalibratedMachine",
+    "machine.in_urdf": "write_urdf",
     "machine.model_file": "load_machine",
-    "machine.urdf": "write_urdf",
+    "machine.of_fit": "machine_of",
     "measurement.arrays": "poses positions",
     "measurement.measurements": "Measurements",
     "measurement.read": "read_measurements",
     "presentation.plots": "plot",
     "presentation.frames": "data_frame",
-    "presentation.tables": "table",
+    "presentation.fit_tables": "table",
     "results.calibration": "Calibration assess",
     "results.folder": "report save scene",
     "robot": "dh",

@@ -126,6 +126,28 @@ def test_commands_that_solve_nothing_wait_for_no_scipy(folder_of_results: Path, 
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+FITS = """
+import atexit, sys
+from calib_start import main
+ours = [f"calib.identification.{name}" for name in ("fit", "system", "error_model", "identify", "identifiability")]
+atexit.register(lambda: print([name for name in (*ours, "numpy.ma") if name in sys.modules]))
+sys.argv[0] = "calib"
+main()
+"""
+
+
+def test_whoever_reads_a_machine_waits_for_nothing_that_fits(folder_of_results: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FITS, "uncertainty", "out", "--samples", "10"],
+        cwd=folder_of_results,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
 WARNING = """
 import warnings, numpy as np, calib.cli
 def app(prog_name):

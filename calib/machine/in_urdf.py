@@ -7,26 +7,22 @@ geometry that was fitted alone.
 from collections.abc import Sequence
 from dataclasses import replace
 from glob import escape
+from pathlib import Path
 
+from calib.foundations.arguments import checked
+from calib.foundations.errors import OutputError
+from calib.foundations.files import read_bytes, write_atomically
 from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import values_at
-from calib.machine.calibrated import CalibratedMachine, assembled
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.of_fit import assembled
+from calib.machine.urdf import calibrated_urdf
 from calib.measurement.measurements import Measurements
-from calib.robot.load import load_robot
+from calib.robot.load import robot_in_urdf
 from calib.robot.robot import Robot
-
-
-def robot_in_urdf(robot: Robot) -> Robot | None:
-    """Return the robot that whoever reads the URDF alone has: mimic joints, neither loops nor couplings nor terms.
-
-    None where its joints do not take the same readings.
-    """
-    plain = load_robot(robot.urdf, robot.tip, robot.base, links=robot.links)
-    same = [reading.name for reading in plain.readings] == [reading.name for reading in robot.readings]
-    return plain if same else None
 
 
 def machine_in_urdf(fit: Fit, whole: CalibratedMachine) -> CalibratedMachine:
@@ -73,6 +69,25 @@ def fit_in_urdf(fit: Fit, tables: Sequence[Measurements] | None = None) -> Fit |
         losses=[losses.get(data.where, "linear") for data in own],
     )
     return replace(found, model=replace(found.model, targets=fit.model.targets, setups=fit.model.setups))
+
+
+@checked
+def write_urdf(fit: Fit, path: str | Path) -> None:
+    """Write the calibrated URDF of a fit; never over the nominal one.
+
+    A fit with joint terms or closed loops is repeated without them: a URDF has no place for them, and the geometry that
+    was fitted with them would be worse without them than a geometry that was fitted alone.
+    Raises OutputError when the file cannot be written or is the nominal URDF.
+    """
+    path, held = Path(path), fit_in_urdf(fit) or fit
+    robot = held.robot
+    try:
+        there = read_bytes(path, OutputError, len(robot.urdf.source))
+    except OutputError:  # nothing there, or another file; any other reason shows when it is written
+        there = b""
+    if there == robot.urdf.source:
+        raise OutputError(f"{path}: holds the nominal URDF, which is never overwritten; choose another name.")
+    write_atomically(path, calibrated_urdf(robot, held.deviations))
 
 
 def _moved(fit: Fit) -> set[str]:

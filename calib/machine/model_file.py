@@ -27,14 +27,13 @@ from calib.foundations.json_text import NotJsonError, parse_json
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import GaussianResiduals, gaussian_bytes, load_gaussian
 from calib.machine.grid import SectorGrid, grid_bytes, load_grid
-from calib.machine.in_urdf import robot_in_urdf
 from calib.machine.residual_model import ResidualModel
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE, Strict, load_uncertainty, uncertainty_json
 from calib.machine.urdf import calibrated_urdf
 from calib.measurement.measurements import ONLY_SETUP
 from calib.robot.gravity import STANDARD_GRAVITY, Load, Payload
 from calib.robot.joint_terms import foreign, in_setup, with_joint_terms
-from calib.robot.load import load_robot
+from calib.robot.load import load_robot, robot_in_urdf
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 from calib.robot.terms import NAMED, JointTerm, kind_of
 from calib.robot.urdf import LARGEST_URDF, parse_urdf

@@ -6,7 +6,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.identification.machine import Layout, Machine
 from calib.robot.conditions import Conditions
-from calib.robot.robot import Robot, TipModel
+from calib.robot.robot import Robot, TipModel, TipMotion
 
 
 def tool_poses(robot: Robot, at: Machine, readings: Array, conditions: Conditions, tool: int = 0) -> Array:
@@ -21,8 +21,13 @@ def tool_jacobian(robot: Robot, at: Machine, readings: Array, conditions: Condit
     Rows: position in the instrument's axes, in m, and small turns about the tool's axes, in rad. Columns: as
     :class:`calib.identification.machine.Layout` has them.
     """
-    layout, T_tool = Layout.of(robot, at.frames), at.frames.tools[tool]
     motion = TipModel(robot, at.deviations).motion(readings, conditions)
+    return jacobian_of(motion, Layout.of(robot, at.frames), at, tool)
+
+
+def jacobian_of(motion: TipMotion, layout: Layout, at: Machine, tool: int = 0) -> Array:
+    """Return :func:`tool_jacobian` where the motion of the tip is known already."""
+    T_tool = at.frames.tools[tool]
     placed = motion.placement @ T_tool
     J = np.zeros((len(placed), 6, layout.size))
     # Local twists of the tip, then of the tool.

@@ -14,18 +14,19 @@ import numpy.typing as npt
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, read_only
+from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, triangle
 from calib.foundations.units import DISPLAY_OF
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.grid import axes_of
 from calib.machine.residual_model import ResidualModel
+from calib.machine.tool_motion import jacobian_of
 from calib.machine.uncertainty import CAUSES, ToolUncertainty, Uncertainty, UncertaintyMap, Waves
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import Conditions, ordinary
-from calib.robot.robot import TipModel
+from calib.robot.robot import TipModel, TipMotion
 from calib.robot.sampling import random_readings
 
 # Rows whose derivatives are in memory at a time.
@@ -53,15 +54,8 @@ def tool_uncertainty(
     if conditions is not None:
         refuse_lacking(machine.robot, conditions, "the readings")
     told = conditions or ordinary(found)
-    view = _View(machine.of(tool), tool, base, tool_pose)
-    parts = []
-    with one_thread(of_scipy=False):
-        for start in range(0, len(found), _BLOCK):
-            rows = slice(start, start + _BLOCK)
-            parts.append(_of_block(view, known, found[rows], told.subset(rows)))
-    covariance, sizes, squares = (read_only(np.concatenate(part)) for part in zip(*parts, strict=True))
-    budget = {cause: read_only(np.sqrt(squares[:, k])) for k, cause in enumerate(CAUSES)}
-    return ToolUncertainty(covariance, sizes, budget, known.degrees_of_freedom)
+    view = _View(machine.of(tool), tool, base=base, tool_pose=tool_pose)
+    return _blocks(_Errors(view, known), found, told)
 
 
 @checked
@@ -76,10 +70,10 @@ def tool_errors(
     """
     found, known = _readings(machine, readings), machine.known_uncertainty
     told = conditions or ordinary(found)
-    view = _View(machine.of(tool), tool, base=True, tool_pose=True)
+    errors = _Errors(_View(machine.of(tool), tool, base=True, tool_pose=True), known)
     with one_thread(of_scipy=False):
         blocks = [slice(start, start + _BLOCK) for start in range(0, len(found), _BLOCK)]
-        return np.concatenate([_errors(view, known, found[rows], told.subset(rows))[0] for rows in blocks])
+        return np.concatenate([errors.at(found[rows], told.subset(rows))[0] for rows in blocks])
 
 
 def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
@@ -119,49 +113,138 @@ def residual_errors(machine: CalibratedMachine, data: Measurements) -> Array:
     return found
 
 
-class _View(NamedTuple):
-    """Whose errors are told, and which of them: as :func:`tool_uncertainty` has it."""
+class _View:
+    """Whose errors are told, and which of them: as :func:`tool_uncertainty` has it. The machine's tip is the tool's.
 
-    machine: CalibratedMachine
-    tool: str
-    base: bool
-    tool_pose: bool
+    Not to be shared by threads: it holds scratch memory.
+    """
 
-    def motions(self, changes: Sequence[Array], readings: Array, conditions: Conditions) -> list[Array]:
-        """Return the motions (N, 6, k) of the tool for each of several ``changes`` (n, k) of the state."""
-        machine, layout, changes = self.machine, self.machine.layout, [np.array(columns) for columns in changes]
-        for columns in changes:
-            if not self.base:
-                columns[layout.base : layout.tools] = 0.0
-            if not self.tool_pose:
-                columns[layout.tools :] = 0.0
-        found = [np.empty((len(readings), 6, columns.shape[1])) for columns in changes]
-        with one_thread(of_scipy=False):
-            for start in range(0, len(readings), _BLOCK):
-                rows = slice(start, start + _BLOCK)
-                own = conditions.subset(rows)
-                J = machine.tool_jacobian(readings[rows], tool=self.tool, conditions=own)
-                flat = J.reshape(-1, layout.size)  # one large product takes half the time of many small ones
-                for moved, columns in zip(found, changes, strict=True):
-                    moved[rows] = (flat @ columns).reshape(len(J), 6, -1)
+    def __init__(self, machine: CalibratedMachine, tool: str, *, base: bool, tool_pose: bool) -> None:
+        self.machine, self.base, self._tool_pose = machine, base, tool_pose
+        self.T_tool, self._number = machine.tools[tool], list(machine.tools).index(tool)
+        self._tips = TipModel(machine.robot, machine.deviations)
+        self._layout, self._state = machine.layout, machine.state
+
+    def at(self, readings: Array, conditions: Conditions) -> "_Seen":
+        """Return how the tip moves at readings (N, nr). Raises as :meth:`Robot.motion` does."""
+        return _Seen(self, self._tips.motion(self.machine.robot.own(readings), conditions), readings)
+
+    def told(self, changes: Array) -> Array:
+        """Return changes (n, k) of the state without those that are not told."""
+        found, layout = np.array(changes), self._layout
         if not self.base:
-            for moved in found:
-                moved[:, :3] = machine.base[:3, :3].T @ moved[:, :3]
+            found[layout.base : layout.tools] = 0.0
+        if not self._tool_pose:
+            found[layout.tools :] = 0.0
         return found
 
-    def waved(self, waves: Waves, readings: Array, conditions: Conditions) -> Array:
+    def jacobian(self, motion: TipMotion) -> Array:
+        """Return the derivatives (N, 6, n) of the tool's pose by the state, in the instrument's axes."""
+        return jacobian_of(motion, self._layout, self._state, self._number)
+
+
+class _Seen(NamedTuple):
+    """The tool at some readings (N, nr), as a view has it, once for all that is asked of these rows."""
+
+    view: _View
+    motion: TipMotion
+    readings: Array
+
+    def motions(self, changes: Sequence[Array]) -> list[Array]:
+        """Return the motions (N, 6, k) of the tool for each of several changes (n, k) of the state."""
+        J = self.view.jacobian(self.motion)
+        flat = J.reshape(-1, J.shape[2])  # one large product takes half the time of many small ones
+        found = [(flat @ columns).reshape(len(J), 6, -1) for columns in changes]
+        if not self.view.base:
+            for moved in found:
+                moved[:, :3] = self.view.machine.base[:3, :3].T @ moved[:, :3]
+        return found
+
+    def waved(self, waves: Waves) -> Array:
         """Return what one standard deviation of every wave does to the tool itself (N, 6, many)."""
-        machine, T_tool = self.machine, self.machine.tools[self.tool]
-        tips, by_reading = TipModel(machine.robot, machine.deviations).driven(readings, conditions)
-        by_reading = rigid.adjoint(rigid.inverse(T_tool)) @ by_reading
-        axes = (tips @ T_tool)[:, :3, :3]
-        by_reading[:, :3] = (machine.base[:3, :3] @ axes if self.base else axes) @ by_reading[:, :3]
-        return waves.at(readings, by_reading)
+        machine, T_tool = self.view.machine, self.view.T_tool
+        by_reading = rigid.adjoint(rigid.inverse(T_tool)) @ self.motion.by_readings(self.readings)
+        axes = (self.motion.placement @ T_tool)[:, :3, :3]
+        by_reading[:, :3] = (machine.base[:3, :3] @ axes if self.view.base else axes) @ by_reading[:, :3]
+        return waves.at(self.readings, by_reading)
+
+    def axes(self, model: ResidualModel) -> Array:
+        """Return the axes (N, 3, 3) in which a residual model has its errors, seen as the tool's position is."""
+        return axes_of(model.frame, self.view.machine.base if self.view.base else np.eye(4), self.motion.placement)
 
 
-def _of_block(view: _View, known: Uncertainty, readings: Array, conditions: Conditions) -> tuple[Array, Array, Array]:
+class _Errors:
+    """The errors of a tool's pose at any readings, block by block."""
+
+    def __init__(self, view: _View, known: Uncertainty) -> None:
+        self.view, self.known = view, known
+        self._changes = [view.told(known.factor), view.told(known.null_basis)]
+        # What a residual model leans on, which neighbours share: of every point, by its bytes, where its errors are.
+        self._numbers: dict[bytes, int] = {}
+        self._there = np.zeros((0, 3, known.factor.shape[1]))
+
+    def at(self, readings: Array, conditions: Conditions) -> tuple[Array, Array]:
+        """Return a factor (N, 6, r) of the covariance of the tool's pose, but for scatter, at readings (N, nr).
+
+        And what the null space does to the pose (N, 6, k).
+        """
+        seen = self.view.at(readings, conditions)
+        found, unseen = self._of_kinematics(seen)
+        model = self.view.machine.residual_model
+        if model is None:
+            return found, unseen
+        # What a residual model adds are errors that were measured elsewhere: what these have in common is gone.
+        # Neighbours lean on the same ones, so that each is looked at once, in the model's own axes.
+        lean = model.leaning(readings)
+        used = lean.weights != 0.0
+        if used.any():
+            number = np.zeros(used.shape, dtype=np.intp)
+            number[used] = self._leant_on(model, lean.points[used])
+            common = np.zeros_like(found[:, :3])
+            for c in range(used.shape[1]):
+                common += lean.weights[:, c, None, None] * self._there[number[:, c]]
+            found[:, :3] -= seen.axes(model) @ common
+        found[:, :3] *= lean.unknown[:, None, None]
+        return found, unseen
+
+    def _of_kinematics(self, seen: _Seen) -> tuple[Array, Array]:
+        found, unseen = seen.motions(self._changes)
+        waves = self.known.waves
+        if waves is not None and len(found):
+            # The machine has followed them as far as it could, which is less than the tool does.
+            found[:, :, -waves.many :] -= seen.waved(waves)
+        return found, unseen
+
+    def _leant_on(self, model: ResidualModel, points: Array) -> IntArray:
+        """Return the numbers (k,) in ``_there`` of the errors at points (k, nr), and find those that are new there."""
+        at, own = np.unique(points, axis=0, return_inverse=True)
+        names = [point.tobytes() for point in at]
+        new = [k for k, name in enumerate(names) if name not in self._numbers]
+        for start in range(0, len(new), _BLOCK):
+            rows = at[new[start : start + _BLOCK]]
+            seen = self.view.at(rows, ordinary(rows))
+            errors = np.swapaxes(seen.axes(model), 1, 2) @ self._of_kinematics(seen)[0][:, :3]
+            self._there = np.concatenate([self._there, errors])
+        self._numbers.update(zip([names[k] for k in new], itertools.count(len(self._numbers)), strict=False))
+        return np.array([self._numbers[name] for name in names], dtype=np.intp)[own.reshape(-1)]
+
+
+def _blocks(errors: _Errors, readings: Array, conditions: Conditions) -> ToolUncertainty:
+    """Return how sure the tool's pose is at readings (N, nr), block by block."""
+    parts = []
+    with one_thread(of_scipy=False):
+        for start in range(0, len(readings), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            parts.append(_of_block(errors, readings[rows], conditions.subset(rows)))
+    covariance, sizes, squares = (read_only(np.concatenate(part)) for part in zip(*parts, strict=True))
+    budget = {cause: read_only(np.sqrt(squares[:, k])) for k, cause in enumerate(CAUSES)}
+    return ToolUncertainty(covariance, sizes, budget, errors.known.degrees_of_freedom)
+
+
+def _of_block(of: _Errors, readings: Array, conditions: Conditions) -> tuple[Array, Array, Array]:
     """Return covariances (N, 6, 6), what the null space adds (N, 2), and the variances (N, 4, 2) of all causes."""
-    errors, unseen = _errors(view, known, readings, conditions)
+    known, model = of.known, of.view.machine.residual_model
+    errors, unseen = of.at(readings, conditions)
     squares = np.zeros((len(readings), len(CAUSES), 2))
     ends = np.cumsum([0, *known.causes])
     for k, (start, end) in enumerate(itertools.pairwise(ends)):
@@ -171,7 +254,6 @@ def _of_block(view: _View, known: Uncertainty, readings: Array, conditions: Cond
         if level is not None:
             scatter[:, 3 * k : 3 * k + 3] = level.model**2
     squares[:, CAUSES.index("model")] += scatter.reshape(-1, 2, 3).sum(axis=2)
-    model = view.machine.residual_model
     if model is not None and known.position is not None:
         lean = model.leaning(readings)
         own = lean.sigma**2 + np.sum(lean.weights**2, axis=1) * known.position.total**2
@@ -180,47 +262,6 @@ def _of_block(view: _View, known: Uncertainty, readings: Array, conditions: Cond
     covariance = errors @ np.swapaxes(errors, 1, 2)
     covariance[:, range(6), range(6)] += scatter
     return covariance, np.sqrt(_by_quantity(unseen)), squares
-
-
-def _errors(view: _View, known: Uncertainty, readings: Array, conditions: Conditions) -> tuple[Array, Array]:
-    """Return a factor (N, 6, r) of the covariance of the tool's pose, but for scatter, at readings (N, nr).
-
-    And what the null space does to the pose (N, 6, k).
-    """
-    found, unseen = _of_kinematics(view, known, readings, conditions)
-    model = view.machine.residual_model
-    if model is None:
-        return found, unseen
-    # What a residual model adds are errors that were measured elsewhere: what these have in common is gone. Neighbours
-    # lean on the same ones, so that each is looked at once, in the model's own axes.
-    lean = model.leaning(readings)
-    used = lean.weights != 0.0
-    if used.any():
-        at, numbers = np.unique(lean.points[used], axis=0, return_inverse=True)
-        number, told = np.zeros(used.shape, dtype=np.intp), ordinary(at)
-        number[used] = numbers.reshape(-1)
-        there = np.swapaxes(_axes(view, model, at, told), 1, 2) @ _of_kinematics(view, known, at, told)[0][:, :3]
-        common = np.zeros_like(found[:, :3])
-        for c in range(used.shape[1]):
-            common += lean.weights[:, c, None, None] * there[number[:, c]]
-        found[:, :3] -= _axes(view, model, readings, conditions) @ common
-    found[:, :3] *= lean.unknown[:, None, None]
-    return found, unseen
-
-
-def _axes(view: _View, model: ResidualModel, readings: Array, conditions: Conditions) -> Array:
-    """Return the axes (N, 3, 3) in which a residual model has its errors, seen as the tool's position is."""
-    machine = view.machine
-    tips = machine.robot.tips(readings, machine.deviations, conditions)
-    return axes_of(model.frame, machine.base if view.base else np.eye(4), tips)
-
-
-def _of_kinematics(view: _View, known: Uncertainty, readings: Array, conditions: Conditions) -> tuple[Array, Array]:
-    found, unseen = view.motions([known.factor, known.null_basis], readings, conditions)
-    if known.waves is not None and len(readings):
-        # The machine has followed them as far as it could, which is less than the tool does.
-        found[:, :, -known.waves.many :] -= view.waved(known.waves, readings, conditions)
-    return found, unseen
 
 
 def _by_quantity(motions: Array) -> Array:
@@ -244,14 +285,14 @@ def uncertainty_map(
     Joints without limits turn once. ``progress`` is told how many of how many are done.
     """
     readings = random_readings(machine.robot, samples, limits, (machine.deviations,), seed=seed)
-    T_tool = machine.tools[machine.tool_named(tool)]
-    found: list[ToolUncertainty] = []
+    view = _View(machine.of(machine.tool_named(tool)), tool, base=base, tool_pose=True)
+    errors, found = _Errors(view, machine.known_uncertainty), list[ToolUncertainty]()
     for chunk in np.array_split(readings, max(samples // _BLOCK, 1)):
-        found.append(tool_uncertainty(machine, chunk, tool, base=base))
+        found.append(_blocks(errors, chunk, ordinary(chunk)))
         progress(sum(len(f.null_space_rms) for f in found), samples)
     return UncertaintyMap(
         read_only(readings),
-        read_only((machine.tips(readings, ordinary(readings)) @ T_tool)[:, :3, 3]),
+        read_only((view.machine.tips(readings, ordinary(readings)) @ view.T_tool)[:, :3, 3]),
         read_only(np.concatenate([np.stack([f.position, f.orientation], axis=1) for f in found])),
         read_only(np.concatenate([f.null_space_rms for f in found])),
         {cause: read_only(np.concatenate([f.budget[cause] for f in found])) for cause in CAUSES},
@@ -272,8 +313,13 @@ def tool_motions(
 
     Other arguments and axes as of :func:`tool_uncertainty`.
     """
-    view = _View(machine, tool, base, tool_pose)
-    return view.motions([columns], readings, conditions or ordinary(readings))[0]
+    view, told = _View(machine.of(tool), tool, base=base, tool_pose=tool_pose), conditions or ordinary(readings)
+    changes, found = [view.told(columns)], np.empty((len(readings), 6, columns.shape[1]))
+    with one_thread(of_scipy=False):
+        for start in range(0, len(readings), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            (found[rows],) = view.at(readings[rows], told.subset(rows)).motions(changes)
+    return found
 
 
 def _readings(machine: CalibratedMachine, readings: npt.ArrayLike) -> Array:

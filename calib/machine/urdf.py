@@ -2,17 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
-from calib.foundations.files import read_bytes, write_atomically
-from calib.identification.fit import Fit
-from calib.machine.in_urdf import fit_in_urdf
 from calib.robot import deviation
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.links import motions
@@ -90,25 +85,6 @@ def lost_in_urdf(
     taken = readings[:, [names.index(reading.name) for reading in plain.readings]]
     apart = plain.tips(taken)[:, :3, 3] - robot.tips(readings, deviations, conditions)[:, :3, 3]
     return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
-
-
-@checked
-def write_urdf(fit: Fit, path: str | Path) -> None:
-    """Write the calibrated URDF of a fit; never over the nominal one.
-
-    A fit with joint terms or closed loops is repeated without them: a URDF has no place for them, and the geometry that
-    was fitted with them would be worse without them than a geometry that was fitted alone.
-    Raises OutputError when the file cannot be written or is the nominal URDF.
-    """
-    path, held = Path(path), fit_in_urdf(fit) or fit
-    robot = held.robot
-    try:
-        there = read_bytes(path, OutputError, len(robot.urdf.source))
-    except OutputError:  # nothing there, or another file; any other reason shows when it is written
-        there = b""
-    if there == robot.urdf.source:
-        raise OutputError(f"{path}: holds the nominal URDF, which is never overwritten; choose another name.")
-    write_atomically(path, calibrated_urdf(robot, held.deviations))
 
 
 def _driver(robot: Robot, joint: UrdfJoint) -> tuple[str, float]:

@@ -14,7 +14,7 @@ from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.xml_text import quoted
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
-from calib.machine.calibrated import machine_of, measured_factor
+from calib.machine.of_fit import machine_of, measured_factor
 from calib.positioner.axes import Axis
 from calib.robot.conditions import ordinary
 from calib.robot.load import load_robot

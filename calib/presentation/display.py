@@ -3,8 +3,8 @@
 from html import escape
 
 from calib.identification.fit import Fit
+from calib.presentation.fit_tables import fit_sentences, fit_sheets, table
 from calib.presentation.report.document import Row, Sheet
-from calib.presentation.tables import fit_sentences, fit_sheets, table
 
 __all__ = ["html", "table"]
 

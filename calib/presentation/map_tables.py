@@ -17,7 +17,10 @@ def map_sheet(found: UncertaintyMap, known: BoolArray) -> Sheet:
     """Return percentiles of the standard deviations over the workspace."""
     rows = []
     for k, (quantity, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
-        values = figures_in(unit, *np.percentile(found.sigmas[:, k], (5, 50, 95, 100)))
+        # As np.percentile, which loads NumPy's masked arrays first.
+        ordered = np.sort(found.sigmas[:, k])
+        places = np.array([0.05, 0.5, 0.95, 1.0]) * (len(ordered) - 1)
+        values = figures_in(unit, *np.interp(places, np.arange(len(ordered)), ordered))
         rows.append((quantity, *values, f"{100 * np.mean(known[:, k]):.0f} %"))
     return Sheet.of(
         "Standard deviation of the tool, in the instrument's frame",

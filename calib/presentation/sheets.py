@@ -10,13 +10,13 @@ import numpy as np
 from calib.assessment.metrics import Metrics
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.units import DISPLAY, MICRO, MM, MRAD, Display
-from calib.identification.fit import Fit
 from calib.measurement.kinds import UNIT_OF, size
 from calib.presentation.report.document import Row, Sheet
 from calib.robot.terms import KINDS
 
 if TYPE_CHECKING:
     from calib.assessment.choice import Choice
+    from calib.identification.fit import Fit
 
 # What is shown of a length in m, an angle in rad, a place in a picture, and coefficients of joint terms.
 SHOWN = {
@@ -118,7 +118,7 @@ def choice_sheet(choice: "Choice") -> Sheet:
     )
 
 
-def parameter_sheet(fit: Fit) -> Sheet:
+def parameter_sheet(fit: "Fit") -> Sheet:
     """Return all parameters with values, sigmas and flags."""
     rows = []
     for parameter, value, sigma, unidentifiable, weak in zip(
@@ -159,7 +159,7 @@ def budget_sheet(budget: Mapping[str, Sequence[float]], poses: int) -> Sheet:
     )
 
 
-def noise_sentences(fit: Fit) -> tuple[str, ...]:
+def noise_sentences(fit: "Fit") -> tuple[str, ...]:
     """Return the noise of every set of measurements and quantity."""
     said = []
     for noise in fit.noise:
@@ -176,7 +176,7 @@ def noise_sentences(fit: Fit) -> tuple[str, ...]:
     return (*said, *_together(fit), *_repeats(fit))
 
 
-def _repeats(fit: Fit) -> Iterator[str]:
+def _repeats(fit: "Fit") -> Iterator[str]:
     """Yield how rows that repeat a pose err together, of every quantity where they do."""
     for own in fit.repeats:
         of = f" of {Path(fit.measurements[own.measurements].where).name}" if len(fit.measurements) > 1 else ""
@@ -188,7 +188,7 @@ def _repeats(fit: Fit) -> Iterator[str]:
         )
 
 
-def _together(fit: Fit) -> Iterator[str]:
+def _together(fit: "Fit") -> Iterator[str]:
     """Yield how photographs err together, of every set where they do."""
     for data, own in zip(fit.measurements, fit.together, strict=False):
         if own is not None:
@@ -199,7 +199,7 @@ def _together(fit: Fit) -> Iterator[str]:
             )
 
 
-def prior_sentences(fit: Fit) -> tuple[str, ...]:
+def prior_sentences(fit: "Fit") -> tuple[str, ...]:
     """Return the standard deviations of learned priors, and how many parameters each was learned from."""
     said = []
     for prior in fit.learned:
@@ -216,7 +216,7 @@ def prior_sentences(fit: Fit) -> tuple[str, ...]:
     return tuple(said)
 
 
-def rank_sentences(fit: Fit) -> tuple[str, ...]:
+def rank_sentences(fit: "Fit") -> tuple[str, ...]:
     """Return what the data determine, and what was done about the rest."""
     size, held = len(fit.null_space), len(fit.held)
     weak = [p.name for p, w in zip(fit.parameters, fit.weakly_determined, strict=True) if w]
@@ -269,7 +269,7 @@ def count(n: int, one: str, several: str) -> str:
     return f"{n} {one if n == 1 else several}"
 
 
-def correlation(fit: Fit) -> tuple[IntArray, Array]:
+def correlation(fit: "Fit") -> tuple[IntArray, Array]:
     """Return which parameters (k,) are identifiable, by index, and the correlations (k, k) of their uncertainties.
 
     Without targets, where there are very many of them.

@@ -3,46 +3,24 @@
 import io
 import re
 from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.cells import cell_len
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from calib.assessment.metrics import metrics
-from calib.foundations.arguments import checked
 from calib.foundations.words import printable
-from calib.identification.fit import Fit
-from calib.identification.identifiability import NullDirection
 from calib.presentation import sheets
 from calib.presentation.report.document import Row, Sheet
+
+if TYPE_CHECKING:
+    from calib.identification.identifiability import NullDirection
 
 WIDTH = 80
 # A first column narrower than this is no help: such a table is then wider than the terminal.
 _LEAST = 8
-
-
-@checked
-def table(fit: Fit) -> str:
-    """Return the fit as plain text: errors before and after on its own data, its parameters and its doubts."""
-    return plain(Group(*map(sheet_table, fit_sheets(fit)), *map(Text, map(printable, fit_sentences(fit)))))
-
-
-def fit_sheets(fit: Fit) -> tuple[Sheet, Sheet]:
-    """Return the errors of a fit before and after, on its own data, and its parameters."""
-    figures = {
-        "identification": {
-            when: metrics((data.kind, r) for data, r in zip(fit.measurements, residuals, strict=True))
-            for when, residuals in (("before", fit.nominal_residuals), ("after", fit.residuals))
-        }
-    }
-    return sheets.error_sheet(figures), sheets.parameter_sheet(fit)
-
-
-def fit_sentences(fit: Fit) -> tuple[str, ...]:
-    """Return the noise of a fit, its learned priors and what the data determine, in sentences."""
-    return (*sheets.noise_sentences(fit), *sheets.prior_sentences(fit), *sheets.rank_sentences(fit))
 
 
 def plain(renderable: RenderableType) -> str:
@@ -114,7 +92,7 @@ def broken(name: str, room: int) -> str:
 
 
 def null_space_lines(
-    null_space: Sequence[NullDirection | str], *, directions: int | None = None
+    null_space: "Sequence[NullDirection | str]", *, directions: int | None = None
 ) -> list[RenderableType]:
     """Return the directions of the null space, under their number; nothing where there are none.
 

@@ -26,8 +26,9 @@ from calib.foundations.version import __version__
 from calib.identification.fit import Fit
 from calib.identification.identify import at_clocks, residuals_of
 from calib.identification.total_differential import Trace
-from calib.machine.calibrated import CalibratedMachine, machine_of
+from calib.machine.calibrated import CalibratedMachine
 from calib.machine.in_urdf import fit_in_urdf, machine_in_urdf
+from calib.machine.of_fit import machine_of
 from calib.machine.residual_model import ResidualModel
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements

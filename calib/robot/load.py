@@ -307,3 +307,13 @@ def _drivers(
         )
     known[joint.name] = dict(found), offset
     return found, offset
+
+
+def robot_in_urdf(robot: Robot) -> Robot | None:
+    """Return the robot that whoever reads the URDF alone has: mimic joints, neither loops nor couplings nor terms.
+
+    None where its joints do not take the same readings.
+    """
+    plain = load_robot(robot.urdf, robot.tip, robot.base, links=robot.links)
+    same = [reading.name for reading in plain.readings] == [reading.name for reading in robot.readings]
+    return plain if same else None

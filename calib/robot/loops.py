@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import PoseError
 from calib.robot.kinematics import way
 from calib.robot.skeleton import Skeleton, derivative
@@ -98,20 +98,49 @@ class Closure:
 
         Raises PoseError naming the first row whose loop cannot close or is at a dead centre.
         """
-        q = q.copy()
-        still = [[self._walk(side, slice(side.still), q)[-1] for side in ring.sides] for ring in self._rings]
+        q, still = q.copy(), self._still(q)
         for _ in range(_MOST_STEPS):
-            value, slope = self._gaps(q, still)
-            self._refuse(at_dead_centre(slope), "is at a dead centre: its joints may go two ways")
-            step = np.linalg.solve(slope, value[:, :, None])[:, :, 0]
-            # A step of more than half a radian could leave the branch that the machine was assembled in.
-            step *= np.minimum(1.0, 0.5 / np.maximum(np.max(np.abs(step), axis=1, keepdims=True), _NEGLIGIBLE))
+            dead, step = self._step(q, still)
+            self._refuse(dead, "is at a dead centre: its joints may go two ways")
             q[:, self._passive] -= step
             if np.max(np.abs(step), initial=0.0) < _LAST_STEP:
                 return q
-        value, _ = self._gaps(q, still)
-        self._refuse(np.max(np.abs(value), axis=1) > _OPEN, "cannot close: its links do not reach")
+        self._refuse(self._open(q, still), "cannot close: its links do not reach")
         return q
+
+    def closes(self, q: Array) -> BoolArray:
+        """Return in which rows :meth:`close` finds joint positions from q (N, nj); one that has some is left alone."""
+        q, found, left = q.copy(), np.ones(len(q), dtype=bool), np.arange(len(q))
+        still = self._still(q)
+        for _ in range(_MOST_STEPS):
+            dead, step = self._step(q[left], _rows_of(still, left))
+            found[left[dead]] = False
+            moving = ~dead & (np.max(np.abs(step), axis=1) >= _LAST_STEP)
+            left = left[moving]
+            if not len(left):
+                return found
+            q[np.ix_(left, self._passive)] -= step[moving]
+        found[left] = ~self._open(q[left], _rows_of(still, left))
+        return found
+
+    def _still(self, q: Array) -> list[list[_Frames]]:
+        """Return, for both sides of every ring, the frames (N) behind the joints before the first passive one."""
+        return [[self._walk(side, slice(side.still), q)[-1] for side in ring.sides] for ring in self._rings]
+
+    def _step(self, q: Array, still: Sequence[Sequence[_Frames]]) -> tuple[BoolArray, Array]:
+        """Return which rows are at a dead centre (N,), and Newton's step (N, k) of the passive joints in the others."""
+        value, slope = self._gaps(q, still)
+        dead = at_dead_centre(slope)
+        if dead.any():
+            slope[dead] = np.eye(slope.shape[1])
+        step = np.asarray(np.linalg.solve(slope, value[:, :, None])[:, :, 0], dtype=np.float64)
+        # A step of more than half a radian could leave the branch that the machine was assembled in.
+        step *= np.minimum(1.0, 0.5 / np.maximum(np.max(np.abs(step), axis=1, keepdims=True), _NEGLIGIBLE))
+        return dead, step
+
+    def _open(self, q: Array, still: Sequence[Sequence[_Frames]]) -> BoolArray:
+        """Tell in which rows the links do not reach, where Newton's steps have come to no end."""
+        return np.asarray(np.max(np.abs(self._gaps(q, still)[0]), axis=1) > _OPEN)
 
     def rates(self, q: Array, by_position: Array) -> Array:
         """Return how the passive joints follow deviations and active joints, at closed positions q (N, nj).
@@ -216,6 +245,10 @@ def _ring(s: Skeleton, loop: Loop, passive: Sequence[int]) -> _Ring:
         rows += [by_joint[6 * j : 6 * j + 6] for j in joints]
         tails.append(tail)
     return _Ring(list(loop.closes), (sides[0], sides[1]), np.concatenate(rows + tails))
+
+
+def _rows_of(frames: Sequence[Sequence[_Frames]], rows: IntArray) -> list[list[_Frames]]:
+    return [[_Frames(one.R[:, :, rows], one.p[:, rows]) for one in own] for own in frames]
 
 
 def _at_rest(n: int) -> _Frames:

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked, own_fields, refuse_fields
-from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
@@ -162,6 +162,10 @@ class TipMotion:
     def by_terms(self) -> Array:
         """The local twists (N, 6, nt) of the tip for the coefficients of the robot's terms."""
         return self.through_terms(self.tip.through(*self.tip.local))
+
+    def by_readings(self, readings: Array) -> Array:
+        """Return the local twists (N, 6, nr) of the tip for the readings (N, nr), at which the motion is."""
+        return self.following(self.tip.through(*self.tip.local), readings)
 
     def by_passive(self, numbers: Array) -> Array:
         """Return how numbers follow the passive joints (N, d, k), from what ``tip.through`` makes of them."""
@@ -454,6 +458,12 @@ class TipModel:
         q = self._positions(readings, conditions)
         return q if self._mechanism.rigid else np.asarray(q[:, self._mechanism.own])
 
+    def closes(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> BoolArray:
+        """Return at which readings (N, nr) the loops close; :meth:`joint_positions` raises PoseError at the others."""
+        if self._closure is None:
+            return np.ones(len(readings), dtype=bool)
+        return self._closure.closes(self._coupled(readings, conditions))
+
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr)."""
         return self._kinematics.placements(self._positions(readings, conditions))[0]
@@ -499,10 +509,15 @@ class TipModel:
 
     def _positions(self, readings: Array, conditions: Conditions, bases: Bases | None = None) -> Array:
         """Return the positions (N, nj) of all joints of the mechanism at readings (N, nr), loops closed."""
+        q = self._coupled(readings, conditions, bases)
+        return q if self._closure is None else self._closure.close(q)
+
+    def _coupled(self, readings: Array, conditions: Conditions, bases: Bases | None = None) -> Array:
+        """Return the positions (N, nj) of all joints of the mechanism, passive ones where their search starts."""
         moved = readings if self._terms is None else self._terms.moved(readings, conditions, bases)
         q = moved @ self._mechanism.coupling.T
         q += self._mechanism.coupling_offset + self._offsets
-        return q if self._closure is None else self._closure.close(q)
+        return q
 
     def _by_coordinate(self, q: Array, by_joint: Array) -> Array:
         """Return how numbers follow what is coupled to the joints (c, d, N), at q (N, nj); ``by_joint`` as above."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.choices import MOST_POSES
-from calib.foundations.errors import PoseError, RobotError
+from calib.foundations.errors import RobotError
 from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations, Robot, TipModel
 
@@ -32,15 +32,14 @@ def joint_limits(robot: Robot) -> Array:
 
 def closing(robot: Robot, readings: Array, machines: Sequence[Deviations | None] = (None,)) -> BoolArray:
     """Return at which of the readings (N, nr) the loops of all machines close; None stands for the nominal one."""
+    return _closing([TipModel(robot, deviations) for deviations in machines] if robot.loops else [], readings)
+
+
+def _closing(models: Sequence[TipModel], readings: Array) -> BoolArray:
     found = np.ones(len(readings), dtype=bool)
-    if robot.loops:
-        for model in [TipModel(robot, deviations) for deviations in machines]:
-            while len(rows := np.flatnonzero(found)):
-                try:
-                    model.joint_positions(readings[rows], ordinary(readings[rows]))
-                    break
-                except PoseError as e:
-                    found[rows[list(e.rows)]] = False
+    for model in models:
+        rows = np.flatnonzero(found)
+        found[rows] = model.closes(readings[rows], ordinary(readings[rows]))
     return found
 
 
@@ -63,13 +62,17 @@ def random_readings(
         raise RobotError(f"limits: needs finite numbers ({width}, 2), for every reading its lower and its upper one.")
     if not 1 <= count <= MOST_POSES or seed < 0:
         raise RobotError(f"{count} random poses, seed {seed}: allowed are 1 to {MOST_POSES} and no negative seed.")
+    models = [TipModel(robot, deviations) for deviations in machines] if robot.loops else []
     rng = np.random.default_rng(seed)
     found = np.zeros((0, len(bounds)))
     tried = 0
     while tried < _ENOUGH or len(found) * _RARELY >= tried:
         drawn = rng.uniform(bounds[:, 0], bounds[:, 1], (count, len(bounds)))
-        found = np.concatenate([found, drawn[closing(robot, drawn, machines)]])
         tried += count
-        if len(found) >= count:
-            return found[:count]
+        # No more are looked at than are lacking.
+        while len(drawn):
+            part, drawn = np.split(drawn, [count - len(found)])
+            found = np.concatenate([found, part[_closing(models, part)]])
+            if len(found) == count:
+                return found
     raise RobotError(f"{robot.urdf.where}: its loops close in hardly any pose within the limits of its joints.")

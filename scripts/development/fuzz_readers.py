@@ -32,10 +32,11 @@ from calib.job.inputs import load
 from calib.job.propose import propose, told
 from calib.job.read import parse_job, read_job
 from calib.job.run import run
-from calib.machine.calibrated import CalibratedMachine, machine_of
+from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import gaussian_bytes, gaussian_from_residuals, load_gaussian
 from calib.machine.grid import grid_bytes, grid_from_residuals, load_grid
 from calib.machine.model_file import load_machine, model_json
+from calib.machine.of_fit import machine_of
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.machine.uncertainty_file import uncertainty_json
 from calib.measurement.cycles import cycles

@@ -17,7 +17,7 @@ from calib.assessment.performance import Performance, before_and_after
 from calib.foundations.arrays import Array
 from calib.identification.identify import identify
 from calib.job.inputs import load
-from calib.machine.calibrated import machine_of
+from calib.machine.of_fit import machine_of
 from calib.measurement.touches import read_touches
 from calib.presentation.command_tables import performance_sheet
 from calib.presentation.tables import plain, sheet_table

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.foundations.chance import bound
-from calib.machine.calibrated import machine_of
+from calib.machine.of_fit import machine_of
 from calib.machine.tool_uncertainty import tool_uncertainty
 from scripts.development.judge_machines import Array, arm
 from scripts.simulate.streams import UR10, Recorded, motion, record

@@ -29,7 +29,8 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.foundations.chance import bound
 from calib.job.inputs import load
-from calib.machine.calibrated import CalibratedMachine, machine_of
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.of_fit import machine_of
 from calib.machine.tool_uncertainty import tool_errors, tool_uncertainty
 from calib.machine.uncertainty import CAUSES
 from scripts.development.judge_cases import (

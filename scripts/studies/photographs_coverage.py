@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import calib
 from calib.foundations.linear import one_thread
 from calib.identification.parameters import Priors
-from calib.machine.calibrated import machine_of
+from calib.machine.of_fit import machine_of
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.measurement.boards import Board
 from calib.measurement.lens import NAMES

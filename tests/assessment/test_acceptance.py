@@ -15,8 +15,8 @@ from calib.assessment import acceptance
 from calib.assessment.acceptance import verify
 from calib.assessment.drift import compare
 from calib.foundations.errors import MeasurementError
-from calib.machine.calibrated import machine_of
 from calib.machine.grid import Leaning, grid_from_residuals
+from calib.machine.of_fit import machine_of
 from calib.machine.residual_model import ResidualModel
 from calib.presentation.acceptance_tables import verification_lines
 from tests.support import machines

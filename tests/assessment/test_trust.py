@@ -14,7 +14,7 @@ from calib.assessment.judged import Check
 from calib.assessment.stretches import pose_by_pose, stretches
 from calib.assessment.trust import remarks
 from calib.identification.identify import with_values
-from calib.machine.calibrated import machine_of
+from calib.machine.of_fit import machine_of
 from calib.measurement.checks import Finding
 from tests.support import cameras, machines
 

@@ -12,8 +12,8 @@ import calib
 from calib.foundations.errors import JobError
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
-from calib.machine.calibrated import machine_of
 from calib.machine.model_file import machine_files
+from calib.machine.of_fit import machine_of
 from calib.robot.gravity import Body, Holding, Payload, Weights
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.robot import Deviations, Robot

@@ -15,8 +15,8 @@ from calib.compensation.commands import for_joint_targets
 from calib.foundations.errors import JobError, MeasurementError, RobotError
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
-from calib.machine.calibrated import machine_of
 from calib.machine.model_file import model_json
+from calib.machine.of_fit import machine_of
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.measurement.table import table_from_arrays
 from calib.robot.conditions import Conditions, in_order, joined, ordinary

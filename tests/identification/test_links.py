@@ -15,8 +15,8 @@ from calib.compensation.controllers.ros import export_ros
 from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
-from calib.machine.calibrated import machine_of
 from calib.machine.model_file import model_json
+from calib.machine.of_fit import machine_of
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.robot.conditions import Conditions
 from calib.robot.gravity import Payload

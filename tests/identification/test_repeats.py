@@ -6,7 +6,7 @@ import scipy
 
 import calib
 from calib.identification.repeats import beyond_alone, repeated
-from calib.machine.calibrated import machine_of
+from calib.machine.of_fit import machine_of
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.measurement.poses import ONE_POSE, poses_of
 from tests.support import machines

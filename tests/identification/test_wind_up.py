@@ -11,8 +11,8 @@ from calib.assessment.choice import Candidate, choose_terms
 from calib.compensation.commands import for_joint_targets
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
-from calib.machine.calibrated import machine_of
 from calib.machine.model_file import model_json
+from calib.machine.of_fit import machine_of
 from calib.robot.gravity import Payload
 from calib.robot.terms import JointTerm
 from scripts.simulate import irb2400 as simulation

@@ -8,9 +8,9 @@ import pytest
 
 from calib.job.inputs import load
 from calib.job.run import run
+from calib.presentation.fit_tables import table
 from calib.presentation.report.document import Prose
 from calib.presentation.sheets import prior_sentences
-from calib.presentation.tables import table
 from calib.results.calibration import Calibration
 from calib.results.folder import write_results
 from calib.results.report import report_of

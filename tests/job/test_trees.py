@@ -75,6 +75,9 @@ def test_two_arms_that_touch_each_other(cell: tuple[Path, Tree]) -> None:
         np.testing.assert_allclose(again.with_tip(tip).tips(q), machine.of(tool).tips(q), atol=1e-9)
     assert run("verify", out, folder / "judge.csv", "--tool", "left_hand", "-q").code == 0
     assert run("uncertainty", out, "--tool", "left_hand", "--samples", "20", "-q").code == 0
+    mapped = calib.judging.uncertainty_map(machine, 5, tool="left_hand")
+    places = machine.of("left_hand").tips(mapped.readings) @ machine.tools["left_hand"]
+    np.testing.assert_allclose(mapped.positions, places[:, :3, 3], atol=1e-12)
 
     # Corrected commands of one arm are of its joints alone, and take it where they say.
     wanted = {f"{name} [rad]": q[:5, k] for k, name in enumerate(r.name for r in machine.robot.readings)}

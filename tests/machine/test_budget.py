@@ -10,9 +10,10 @@ import pytest
 import calib
 from calib.identification.noise import Noise
 from calib.machine.budget import errors_by_cause
-from calib.machine.calibrated import CalibratedMachine, _beyond, machine_of
+from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import gaussian_from_residuals
 from calib.machine.grid import grid_from_residuals
+from calib.machine.of_fit import _beyond, machine_of
 from calib.machine.tool_uncertainty import residual_errors, tool_errors, tool_uncertainty
 from calib.machine.uncertainty import CAUSES, Waves, rms_by_cause
 from tests.support import machines

@@ -12,8 +12,9 @@ from calib.compensation.controllers import exported
 from calib.foundations.errors import OutputError
 from calib.identification.error_model import corrected_dh, with_terms
 from calib.identification.fit import Fit
-from calib.machine.in_urdf import fit_in_urdf, robot_in_urdf
+from calib.machine.in_urdf import fit_in_urdf
 from calib.results.calibration import Calibration
+from calib.robot.load import robot_in_urdf
 from tests.support import machines
 from tests.support.gears import UR10, geared, wavy
 

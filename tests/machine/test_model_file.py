@@ -10,8 +10,8 @@ import pytest
 
 import calib
 from calib.foundations.errors import OutputError
-from calib.machine.calibrated import machine_of
 from calib.machine.model_file import TermEntry, model_json
+from calib.machine.of_fit import machine_of
 from calib.robot.joint_terms import parts
 from calib.robot.terms import KINDS, Kind
 from tests.support import machines

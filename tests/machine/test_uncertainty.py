@@ -13,8 +13,8 @@ from calib.foundations.chance import bound
 from calib.foundations.errors import MeasurementError, OutputError
 from calib.identification.parameters import scales
 from calib.identification.system import Problem
-from calib.machine.calibrated import machine_of, measured_factor
 from calib.machine.model_file import model_json
+from calib.machine.of_fit import machine_of, measured_factor
 from calib.machine.tool_uncertainty import (
     common_errors,
     outside_identified,

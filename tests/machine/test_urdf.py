@@ -9,7 +9,8 @@ import pytest
 import calib
 from calib.foundations.errors import OutputError
 from calib.machine import urdf as compensation
-from calib.machine.urdf import calibrated_origins, calibrated_urdf, lost_in_urdf, write_urdf
+from calib.machine.in_urdf import write_urdf
+from calib.machine.urdf import calibrated_origins, calibrated_urdf, lost_in_urdf
 from calib.robot.load import load_robot, with_document
 from calib.robot.terms import JointTerm
 from calib.robot.urdf import parse_urdf

@@ -12,12 +12,12 @@ import calib
 from calib.foundations.errors import PoseError, RobotError
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
-from calib.machine.calibrated import machine_of
 from calib.machine.model_file import model_json
+from calib.machine.of_fit import machine_of
 from calib.machine.urdf import calibrated_urdf
 from calib.robot.load import load_robot, with_document
 from calib.robot.loops import at_dead_centre
-from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
+from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot, TipModel
 from calib.robot.sampling import closing, random_readings
 from calib.robot.urdf import parse_urdf
 from tests.support import jacobians, machines
@@ -458,14 +458,15 @@ def test_where_all_machines_close_is_what_single_rows_say(name: str) -> None:
 
 
 class Counted:
-    """Counts the steps of Newton's method."""
+    """Counts the steps of Newton's method, and how many rows they move."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.steps = 0
+        self.steps = self.rows = 0
         solve = np.linalg.solve
 
         def counting(*arguments: Array) -> Array:
             self.steps += 1
+            self.rows += len(arguments[0])
             return np.asarray(solve(*arguments))
 
         monkeypatch.setattr("calib.robot.loops.np.linalg.solve", counting)
@@ -481,6 +482,41 @@ def test_poses_in_which_no_loop_closes_are_not_tried_one_by_one(monkeypatch: pyt
     with pytest.raises(RobotError, match="its loops close in hardly any pose within the limits of its joints"):
         random_readings(robot, 2000)
     assert counted.steps < 1000
+
+
+def test_random_poses_are_looked_at_only_while_some_are_lacking(monkeypatch: pytest.MonkeyPatch) -> None:
+    short = load(SLIDER_CRANK.replace('xyz="0.4 0.03 0.05"', 'xyz="0.4 -0.3 0.05"'), "tip", CROSSHEAD)
+    counted, limits = Counted(monkeypatch), np.array([[-3.0, 3.0]])
+    drawn = np.random.default_rng(7).uniform(-3.0, 3.0, (2000, 1))
+    there = closing(short, drawn)
+    first, closes = counted.rows, drawn[there]
+    assert 1000 < len(closes) < 2000
+    np.testing.assert_array_equal(random_readings(short, 2000, limits, seed=7)[: len(closes)], closes)
+    # As many as the first draw lacks, and of these again as many as do not close: not all of the second draw.
+    assert counted.rows - first < 1.7 * first
+    # Rows that are closed, or at a dead centre, are not moved any more.
+    assert first < 30 * len(drawn) * np.mean(~there) + 8 * len(drawn)
+
+
+def test_how_the_tip_follows_readings_is_known_with_its_motion() -> None:
+    robot, readings = machine("five-bar")
+    model = TipModel(robot, deviations(robot, 1e-3, 1e-3))
+    placed, driven = model.driven(readings)
+    motion = model.motion(readings)
+    np.testing.assert_allclose(motion.placement, placed, atol=1e-13)
+    np.testing.assert_allclose(motion.by_readings(readings), driven, atol=1e-12)
+
+
+def test_a_map_closes_the_loops_of_a_pose_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, readings = machine("parallelogram")
+    data = calib.poses(robot, readings, robot.tips(readings), sigma=1e-4, sigma_angle=1e-4)
+    u = machine_of(calib.identify(calib.error_model(robot, offsets="all"), data))
+    counted = Counted(monkeypatch)
+    asked = readings[:20]
+    u.robot.tips(asked, u.deviations)
+    once = counted.rows
+    calib.judging.tool_uncertainty(u, asked)
+    assert counted.rows == 2 * once > 0
 
 
 # ---- out of the toolkit and back

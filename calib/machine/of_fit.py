@@ -1,0 +1,160 @@
+"""The calibrated machine of a fit, with its uncertainty.
+
+Whoever reads a machine from a folder of results needs none of this, nor what a fit is made of.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.foundations.arguments import checked
+from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.errors import JobError
+from calib.identification.fit import Fit
+from calib.identification.machine import Layout, Machine
+from calib.identification.noise import Noise
+from calib.identification.parameters import Parameter, directions, scales
+from calib.machine.budget import ErrorsByCause, errors_by_cause
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.residual_model import ResidualModel
+from calib.machine.uncertainty import NoiseLevel, Uncertainty
+from calib.measurement.kinds import UNIT_OF
+from calib.measurement.measurements import ONLY_SETUP, Measurements
+from calib.robot.joint_terms import in_setup
+
+# Directions of the covariance below this share of the largest are rounding.
+_ROUNDING = 1e-12
+
+
+@checked
+def machine_of(fit: Fit, residual_model: ResidualModel | None = None) -> CalibratedMachine:
+    """Return the calibrated machine of a fit, in the frames of its URDF, with its uncertainty.
+
+        machine = calib.machine_of(calib.identify(model, data))
+
+    ``residual_model``: what it adds to positions. Raises JobError when the fit has no tool.
+    """
+    if not fit.measurements[0].tools:
+        raise JobError("the fit has no tool: a machine has one or more.")
+    found = replace(assembled(fit, as_named=False), residual_model=residual_model, uncertainty=_uncertainty(fit))
+    return _in_default_setup(found)
+
+
+def assembled(fit: Fit, *, as_named: bool = True) -> CalibratedMachine:
+    """Return the machine of a fit without its uncertainty; ``as_named``: in the set-up without a name, if there is one.
+
+    Else it is in the first set-up of the fit, as the rows of its state are.
+    """
+    frames, names = fit.machine.frames, fit.measurements[0]
+    setup, *others = names.setups
+    found = CalibratedMachine(
+        in_setup(fit.robot, setup),
+        fit.deviations,
+        read_only(frames.bases[0]),
+        {name: read_only(T) for name, T in zip(names.tools, frames.tools, strict=True)},
+        setup=setup,
+        others={name: read_only(T) for name, T in zip(others, frames.bases[1:], strict=True)},
+        tool_tips=fit.tool_tips,
+    )
+    return _in_default_setup(found) if as_named else found
+
+
+def _in_default_setup(machine: CalibratedMachine) -> CalibratedMachine:
+    return machine.at(ONLY_SETUP) if ONLY_SETUP in machine.others else machine
+
+
+def _uncertainty(fit: Fit) -> Uncertainty:
+    told = np.concatenate([_told(data, end.readings) for data in fit.measurements for end in data.ends])
+    readings = np.where(np.isnan(told).all(axis=0), 0.0, told)
+    identified = np.stack([np.nanmin(readings, axis=0), np.nanmax(readings, axis=0)], axis=1)
+    errors = errors_by_cause(fit, identified)
+    state = _to_state(fit, errors.parameters, errors.at) * scales(errors.parameters)
+    parts = (errors.instrument, errors.unseen, errors.scatter, errors.waves)
+    own = _of_machine(fit)
+    parameters = [fit.parameters[k] for k in own]
+    null_basis = _to_state(fit, parameters, fit.machine) @ (fit.null_basis[own] * scales(parameters)[:, None])
+    return Uncertainty(
+        read_only(np.hstack([state @ part for part in parts])),
+        (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
+        errors.left_out,
+        read_only(null_basis),
+        _level(fit, errors, "m"),
+        _level(fit, errors, "rad"),
+        read_only(identified),
+    )
+
+
+def measured_factor(fit: Fit) -> Array:
+    """Return a factor (n, r) of the covariance of the machine's state by noise alone, null space left out."""
+    own = _of_machine(fit)
+    parameters = [fit.parameters[k] for k in own]
+    return np.asarray(_to_state(fit, parameters, fit.machine) @ _factor(fit.spread.of(own), scales(parameters)))
+
+
+def _of_machine(fit: Fit) -> IntArray:
+    """Return the parameters, by number, that the state can follow: targets and instruments are no part of it."""
+    return np.array([k for k, parameter in enumerate(fit.parameters) if not parameter.nuisance], dtype=np.intp)
+
+
+def _to_state(fit: Fit, parameters: Sequence[Parameter], machine: Machine) -> Array:
+    """Return how the state (n, p) of the machine in the frames of its URDF follows parameters, in SI units."""
+    own = Layout(fit.model.robot)
+    # Targets and lengths are no part of the machine, which the results are about.
+    to_state = directions(parameters, Layout.of(fit.model.robot, machine.frames).size)
+    parts = [to_state[: own.offsets], to_state[own.offsets : own.base]]
+    if fit.model.dh is not None:
+        parts[0] = fit.model.dh.source_rates(machine.deviations) @ parts[0]
+    frames = np.concatenate([machine.frames.bases, machine.frames.tools])
+    twists = np.concatenate([machine.base_twists, machine.tool_twists])
+    for k, (T, W) in enumerate(zip(frames, twists, strict=True)):
+        local = W @ to_state[own.base + 6 * k : own.base + 6 * k + 6]
+        parts.append(np.concatenate([T[:3, :3] @ local[:3], local[3:]]))
+    state = np.concatenate(parts)
+    counts = len(machine.frames.bases), len(machine.frames.tools)
+    assert len(state) == Layout(fit.robot, *counts).size, "one state of the machine, two ways"
+    return state
+
+
+def _told(data: Measurements, readings: Array) -> Array:
+    """Return readings (N, nr), nan where no column told them."""
+    return np.where([name in data.absent for name in data.reading_names], np.nan, readings)
+
+
+def _factor(covariance: Array, s: Array) -> Array:
+    """Return F (p, r) with ``F F^T = covariance``, of as many columns as something is known of."""
+    values, vectors = np.linalg.eigh(covariance / (s[:, None] * s))
+    kept = values > _ROUNDING * max(float(values.max(initial=0.0)), 0.0)
+    return np.asarray(s[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
+
+
+def _beyond(variance: float, noise: Noise) -> float:
+    """Return by how much a variance is beyond the instrument's, shrunk the more the less sure that is.
+
+    What is within chance is none: a variance less one that is known is positive in half of all cases where nothing is
+    left out. The positive part of W. James and C. Stein's estimate (1961).
+    """
+    beyond, chance = variance - noise.instrument**2, variance**2 * 2.0 / max(noise.degrees_of_freedom, 1.0)
+    if noise.instrument == 0.0 or beyond <= 0.0:
+        return max(beyond, 0.0)
+    return max(beyond - chance / beyond, 0.0)
+
+
+def _level(fit: Fit, errors: ErrorsByCause, unit: str) -> NoiseLevel | None:
+    noises = [
+        replace(noise, degrees_of_freedom=own) for noise, own in zip(fit.noise_by_rows, errors.freedom, strict=True)
+    ]
+    every = zip(noises, errors.noise, errors.repeated, strict=True)
+    parts = [one for one in every if UNIT_OF[one[0].quantity] == unit]
+    freedom = np.array([noise.degrees_of_freedom for noise, _, _ in parts])
+    if not parts or freedom.sum() <= 0.0:
+        return None
+
+    def mean(squares: Sequence[float]) -> float:
+        return float(np.sqrt(np.average(squares, weights=freedom)))
+
+    total = mean([(share * noise.total) ** 2 for noise, share, _ in parts])
+    model = mean([_beyond((share * noise.total) ** 2, noise) for noise, share, _ in parts])
+    estimated = any(noise.model > 0.0 or repeated for noise, _, repeated in parts)
+    # The estimate of the total has the freedom of the residuals; where nothing had to be added, it is not an estimate.
+    return NoiseLevel(model, total, float(freedom.sum()) if estimated else float("inf"))
