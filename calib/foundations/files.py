@@ -151,8 +151,11 @@ def refuse_taken(*paths: Path | None, with_parents: bool = False) -> None:
         # What hides from this user, or has no name that a file can have, the attempt to write it finds out.
         if path is not None and os.path.lexists(path):
             raise OutputError(f"{path}: already exists; choose another name.")
-        if path is not None and not with_parents and not os.path.lexists(path.parent):
-            raise OutputError(f"{path}: cannot be written ({os.strerror(errno.ENOENT)}).")
+        # Links in a circle and such that lead nowhere lead to no folder either.
+        if path is not None and not with_parents:
+            with sentences(path, OutputError, "cannot be written"):
+                if not stat.S_ISDIR(path.parent.stat().st_mode):
+                    raise OutputError(f"{path}: cannot be written ({os.strerror(errno.ENOTDIR)}).")
 
 
 def stamp(path: Path) -> tuple[int, int, int] | None:

@@ -277,11 +277,14 @@ def joints_by_name(table: RawTable, readings: Sequence[str], among: frozenset[in
         wanted = [_core(tokens(name)) if short else tokens(name) for name in readings]
         if len(set(wanted)) < len(wanted):
             continue
+        number = {want: j for j, want in enumerate(wanted)}
+        lengths = sorted(set(map(len, wanted)))
         found: dict[tuple[str, ...], dict[int, int]] = {}
         for k, part in parts.items():
-            for j, want in enumerate(wanted):
-                own = _core(part) if short else part
-                rest = _without(own, want)
+            own = _core(part) if short else part
+            runs = (own[i : i + n] for n in lengths for i in range(len(own) - n + 1))
+            for j in sorted({number[run] for run in runs if run in number}):
+                rest = _without(own, wanted[j])
                 if rest is not None and not set(rest) & _NO_POSITION and not any(w.isdigit() for w in rest):
                     found.setdefault(rest, {}).setdefault(j, k)
         whole = [
@@ -294,14 +297,14 @@ def joints_by_name(table: RawTable, readings: Sequence[str], among: frozenset[in
     return []
 
 
-def named_among(table: RawTable, readings: Sequence[str], among: frozenset[int]) -> int:
-    """Return how many readings some column has the name of."""
+def named_among(table: RawTable, readings: Iterable[str], among: frozenset[int]) -> frozenset[str]:
+    """Return the readings that some column has the name of."""
     parts = [tokens(table.columns[k].name) for k in among]
-    cores = [_core(part) for part in parts]
-    return sum(
-        any(_without(part, tokens(name)) is not None for part in parts) or _core(tokens(name)) in cores
-        for name in readings
-    )
+    cores = {_core(part) for part in parts}
+    wanted = {name: tokens(name) for name in readings}
+    # Every run of words in a column's name that is as long as a reading's.
+    runs = {part[i : i + n] for n in set(map(len, wanted.values())) for part in parts for i in range(len(part) - n + 1)}
+    return frozenset(name for name, words in wanted.items() if words in runs or _core(words) in cores)
 
 
 def _core(part: Sequence[str]) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import pytest
 
 from calib.foundations import files
 from calib.foundations.errors import CalibError, JobError, OutputError
-from calib.foundations.files import read_bytes, read_inside, sha256, write_atomically, write_new
+from calib.foundations.files import read_bytes, read_inside, refuse_taken, sha256, write_atomically, write_new
 from tests.support.swaps import at_operation, swap
 
 as_root = os.geteuid() == 0
@@ -161,6 +161,21 @@ def test_what_is_to_be_new_takes_the_place_of_nothing(tmp_path: Path, monkeypatc
             write_new(path, "new")
             assert path.read_text() == "new"
     assert not [name for name in names(tmp_path) if name.endswith(".part")]
+
+
+def test_what_leads_to_no_folder_is_refused_before_work_is_done(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "nowhere").symlink_to("none")
+    (tmp_path / "file").touch()
+    for name, why in (
+        ("loop", "Too many levels of symbolic links"),
+        ("nowhere", "No such file or directory"),
+        ("none", "No such file or directory"),
+        ("file", "Not a directory"),
+    ):
+        with pytest.raises(OutputError) as caught:
+            refuse_taken(tmp_path / name / "job.toml")
+        assert str(caught.value) == f"{tmp_path / name}/job.toml: cannot be written ({why})."
 
 
 def refused(*_: object, **__: object) -> None:

@@ -1,6 +1,8 @@
 """Small files made to take long or to swell: what bounds them; scripts/development/hostile_files.py measures."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,7 +12,12 @@ from calib.foundations.ranges import COUNTS, MOST_NAMES, MOST_TARGETS
 from calib.identification import sanity
 from calib.identification.error_model import error_model
 from calib.identification.identify import identify
+from calib.job.chains import chains, whole_chains
+from calib.job.foreign import picks
+from calib.job.foreign.seen import Seen
+from calib.job.propose import propose
 from calib.job.stated import load_arm
+from calib.measurement import roles
 from calib.measurement.kinds import Kind
 from calib.measurement.read import read_measurements
 from calib.presentation import meshes, scene
@@ -20,7 +27,7 @@ from calib.presentation.visuals import MOST_SHAPES, visuals
 from calib.robot.links import arm_of, link_placements
 from calib.robot.load import load_robot
 from calib.robot.mesh_counts import MOST_CORNERS, MOST_PARTS, counts
-from calib.robot.urdf import MOST_LINKS, parse_urdf, read_urdf
+from calib.robot.urdf import MOST_JOINTS, MOST_LINKS, Urdf, parse_urdf, read_urdf
 from scripts.development import hostile_files
 from scripts.development.hostile_files import HOSTILE, fill
 
@@ -221,3 +228,73 @@ def test_every_generator_writes_a_file_of_its_size(tmp_path: Path, name: str) ->
         fill(name, tmp_path / str(size), size)
         sizes.append(sum(path.stat().st_size for path in (tmp_path / str(size)).iterdir()))
     assert sizes[0] <= sizes[1] < 400_000
+
+
+def one_by_one(count: int, of: str = "l{n}", more: str = "") -> bytes:
+    """Return a URDF of ``count`` joints in a row, each on the link ``of`` the one before."""
+    joints = "".join(
+        f'<link name="l{n + 1}"/><joint name="j{n}" type="revolute"><parent link="{of.format(n=n)}"/>'
+        f'<child link="l{n + 1}"/><axis xyz="0 {n % 2} {1 - n % 2}"/><origin xyz="0.1 0 0.2"/>'
+        f'<limit lower="-1" upper="1"/>{more.format(n=max(n - 1, 0)) if n else ""}</joint>'
+        for n in range(count)
+    )
+    return f'<robot name="row"><link name="l0"/>{joints}</robot>'.encode()
+
+
+def test_arms_of_a_row_of_joints_end() -> None:
+    """Each of its links is the tip of an arm, the first ones of arms that can be loaded."""
+    document = parse_urdf(one_by_one(MOST_JOINTS + 50), "row.urdf")
+    assert [len(arm.joints) for arm in chains(document)] == list(range(MOST_JOINTS, 0, -1))
+    assert [arm.tip for arm in whole_chains(document)] == [f"l{MOST_JOINTS}"]
+    with pytest.raises(RobotError, match=rf"^row.urdf: more than the {MOST_JOINTS} joints .* lead to 'l240'\.$"):
+        chains(document, "l240")
+
+
+def test_joints_that_follow_each_other_are_followed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half a minute went into looking for each joint among all, for each that follows it."""
+    document = parse_urdf(one_by_one(150, "l0", '<mimic joint="j{n}"/>'), "mimics.urdf")
+    monkeypatch.setattr(Urdf, "joint", None)
+    (arm,) = chains(document)
+    assert arm.joints == ("j0",)
+    assert len(arm.others) == 149
+
+
+def test_names_of_columns_are_taken_apart_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A row of joints of which few have columns: every end of every arm was looked for in every column."""
+    urdf, table = tmp_path / "row.urdf", tmp_path / "table.csv"
+    urdf.write_bytes(one_by_one(120))
+    rows = "".join(f"{0.01 * n},{0.9 - 0.02 * n},{n * n % 7 / 7},{n},{n % 5},200\n" for n in range(8))
+    table.write_text("j0 [rad],j1 [rad],j2 [rad],x [mm],y [mm],z [mm]\n" + rows)
+    taken, tokens = list[str](), roles.tokens
+
+    def counted(name: str) -> tuple[str, ...]:
+        taken.append(name)
+        return tokens(name)
+
+    monkeypatch.setattr(roles, "tokens", counted)
+    propose(urdf, [table])
+    assert len(taken) < 10 * (120 + 6)
+
+
+def test_arms_that_nothing_names_are_compared_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of hundreds of arms that share most of their joints, each was compared with all others, name by name."""
+    fork = one_by_one(20).replace(
+        b"</robot>",
+        b"".join(
+            b'<link name="b%d"/><joint name="finger%d" type="revolute"><parent link="l20"/><child link="b%d"/></joint>'
+            % (n, n, n)
+            for n in range(30)
+        )
+        + b"</robot>",
+    )
+    document = parse_urdf(fork, "fork.urdf")
+    looked, is_finger = list[str](), picks._is_finger
+
+    def counted(seen: Seen, name: str) -> bool:
+        looked.append(name)
+        return is_finger(seen, name)
+
+    monkeypatch.setattr(picks, "_is_finger", counted)
+    cut = picks._cut_short(cast("Seen", SimpleNamespace(arms=chains(document), document=document)))
+    assert sorted(looked) == sorted({joint.name for joint in document.joints})
+    assert {len(joints) for joints in cut} == set(range(1, 20))  # 20 joints are an arm with a hand

@@ -12,7 +12,8 @@ from calib.measurement import roles
 from calib.measurement.layout import is_number
 from calib.measurement.raw import RawColumn
 
-_MOST_ARMS = 12
+# Arms that the columns of a table may be of, as far as they are looked at.
+_MOST_READ = 48
 # Joints beyond an arm.
 _FINGER = re.compile(r"finger|grip|hand|jaw|knuckle|thumb|claw|palm", re.IGNORECASE)
 # A run of numbered columns that may be the end of a longer arm.
@@ -66,8 +67,11 @@ def _joints(seen: Seen) -> list[tuple[Chain, roles.Joints]]:
         for k, column in enumerate(seen.raw.columns)
         if column.numbers is not None and (k not in seen.known.spoken or seen.raw.named)
     )
+    with_names = roles.named_among(seen.raw, {name for arm in seen.arms for name in arm.joints}, among)
     named: list[tuple[Chain, roles.Joints]] = []
     for arm in seen.arms:
+        if len(named) >= _MOST_READ:
+            break
         given = [seen.named.get(name) for name in arm.joints]
         if all(given) and (arm is seen.arms[0] or seen.answers.tip is not None):
             columns = tuple(seen.column(title) for title in given if title is not None)
@@ -77,7 +81,7 @@ def _joints(seen: Seen) -> list[tuple[Chain, roles.Joints]]:
             part = arm.joints[first:]
             if named and len(part) < max(len(other.joints) for other, _ in named):
                 break
-            if roles.named_among(seen.raw, part, among) < len(part):
+            if not with_names.issuperset(part):
                 continue
             named += [(behind(seen.document, arm, first), one) for one in roles.joints_by_name(seen.raw, part, among)]
             break
@@ -96,22 +100,26 @@ def _joints(seen: Seen) -> list[tuple[Chain, roles.Joints]]:
 
 def _arms_of(seen: Seen, counts: Iterable[int]) -> list[Chain]:
     """Return whole arms with as many joints; the ends of longer ones where no whole arm has as many as a family."""
-    whole = [arm for arm in seen.arms if len(arm.joints) in counts and _is_plausible(seen, arm)]
+    cut = _cut_short(seen)
+    whole = [arm for arm in seen.arms if len(arm.joints) in counts and arm.joints not in cut]
     families = set(roles.numbered_columns(seen.raw)) if seen.raw.named else set()
     lengths = {len(arm.joints) for arm in whole}
     ends = [
         behind(seen.document, arm, len(arm.joints) - count)
         for count in families - lengths
         for arm in seen.arms
-        if len(arm.joints) > count >= _FEWEST_JOINTS and _is_plausible(seen, arm)
+        if len(arm.joints) > count >= _FEWEST_JOINTS and arm.joints not in cut
     ]
-    return list(dict.fromkeys([*whole, *ends]))[: 4 * _MOST_ARMS]
+    return list(dict.fromkeys([*whole, *ends]))[:_MOST_READ]
 
 
-def _is_plausible(seen: Seen, arm: Chain) -> bool:
-    """Return whether an arm may be meant where nothing names its joints: a whole one, or all but its fingers."""
-    longer = [other for other in seen.arms if other is not arm and other.joints[: len(arm.joints)] == arm.joints]
-    return all(_is_finger(seen, name) for other in longer for name in other.joints[len(arm.joints) :])
+def _cut_short(seen: Seen) -> frozenset[tuple[str, ...]]:
+    """Return beginnings of arms that are not meant where nothing names their joints: more than fingers is left out."""
+    fingers = {name: _is_finger(seen, name) for name in {name for arm in seen.arms for name in arm.joints}}
+    ends = {
+        arm.joints: max((k for k, name in enumerate(arm.joints) if not fingers[name]), default=0) for arm in seen.arms
+    }
+    return frozenset(joints[:k] for joints, end in ends.items() for k in range(1, end + 1))
 
 
 def _is_finger(seen: Seen, name: str) -> bool:
