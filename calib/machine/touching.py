@@ -59,13 +59,18 @@ class TouchingArm:
 
 @checked
 def touched(
-    path: str | Path, arm: TouchingArm, robot: Robot, columns: Mapping[str, str] | Columns = AS_WRITTEN
+    path: str | Path,
+    arm: TouchingArm,
+    robot: Robot,
+    columns: Mapping[str, str] | Columns = AS_WRITTEN,
+    *,
+    in_order: bool = False,
 ) -> tuple[Measurements, tuple[Finding, ...]]:
     """Return what a table of touched points says of ``robot``, and what looks wrong with the arm's readings.
 
         data, findings = calib.measuring.touched("touches.csv", arm, robot)
 
-    The arm's columns become the position. Raises MeasurementError when a column of the arm is missing, when one is both
+    The arm's columns become the position. ``in_order``: as of :func:`calib.read_measurements`, of the robot. Raises MeasurementError when a column of the arm is missing, when one is both
     the arm's and the robot's, and as :func:`calib.read_measurements` does.
     """
     table = read_table(path, columns)
@@ -105,6 +110,7 @@ def touched(
             robot.readings,
             "position",
             sigma=arm.sigma,
+            in_order=in_order,
             joints=Joints.of(robot),
         ),
         tuple(finding for finding in doubts if finding.code in _OF_READINGS),
