@@ -70,8 +70,9 @@ def touched(
 
         data, findings = calib.measuring.touched("touches.csv", arm, robot)
 
-    The arm's columns become the position. ``in_order``: as of :func:`calib.read_measurements`, of the robot. Raises MeasurementError when a column of the arm is missing, when one is both
-    the arm's and the robot's, and as :func:`calib.read_measurements` does.
+    The arm's columns become the position. ``in_order``: whether the order of the rows says from which side the robot's
+    joints were reached. Raises MeasurementError when a column of the arm is missing, when one is both the arm's and the
+    robot's, and as :func:`calib.read_measurements` does.
     """
     table = read_table(path, columns)
     own: dict[str, Dimension] = {reading.name: reading.dimension for reading in arm.machine.robot.readings}

@@ -102,12 +102,15 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
     measured = _speeds(seen, gap)
     step = float(np.median(np.diff(seen.times)))
     # Equal steps differ in their last digits.
-    if step > (1.0 - 1e-6) * gap or not measured.known.any():
+    apart = step > (1.0 - 1e-6) * gap
+    if not apart and np.ptp(seen.groups) and not measured.known.any():
+        raise MeasurementError(
+            f"{seen.where}: tool or set-up change from row to row, which shows no speed; give each a table of its own."
+        )
+    if apart or not measured.known.any():
         raise MeasurementError(
             f"{seen.where}: its rows are {step:.4g} s apart, and gaps from {gap:.4g} s on are not bridged; allow "
             "longer gaps, or measure more often."
-            if step > (1.0 - 1e-6) * gap or not np.ptp(seen.groups)
-            else f"{seen.where}: tool or set-up change from row to row, which shows no speed; give each a table of its own."
         )
     grid = np.arange(moved.start, moved.end, _STEP)
     known = moved.known(grid)
