@@ -48,6 +48,7 @@ BESIDE: tuple[tuple[str, ...], ...] = (
     ("terms: of masses", "motion: stream"),
     ("solver: total differential", "geometry: offsets", "motion: late"),
     ("solver: total differential", "geometry: offsets", "tips: two"),
+    ("terms: of masses", "place: loaded"),
 )
 
 
