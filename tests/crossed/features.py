@@ -184,9 +184,17 @@ FEATURES: tuple[Feature, ...] = (
     Feature(
         "terms",
         "told",
-        _keys(_told(), "error_model.torque_offsets"),
+        _keys(_told()),
+        {"told": True},
+        error_model=_free(_told()),
+    ),
+    Feature(
+        "terms",
+        "torque offsets",
+        ("error_model.torque_offsets",),
         {"told": True},
         error_model=_free(_told()) | {"torque_offsets": "free"},
+        beside=True,
     ),
     Feature("terms", "bearings", ("error_model.lateral",), error_model={"lateral": ["@second"]}, beside=True),
     Feature("terms", "auto", ("error_model.terms",), {"told": True}, error_model={"terms": "auto"}),
@@ -383,7 +391,7 @@ REFUSALS: tuple[Refusal, ...] = (
     ),
     Refusal(
         ("solver: total differential",),
-        tuple(f"terms: {name}" for name in ("of readings", "of masses", "told", "bearings", "auto")),
+        tuple(f"terms: {name}" for name in ("of readings", "of masses", "told", "torque offsets", "bearings", "auto")),
         "the total differential takes no joint terms",
     ),
     Refusal(
@@ -430,7 +438,7 @@ REFUSALS: tuple[Refusal, ...] = (
     ),
     Refusal(
         ("geometry: dh",),
-        ("terms: of masses", "terms: told", "terms: bearings"),
+        ("terms: of masses", "terms: told", "terms: torque offsets", "terms: bearings"),
         "links bend and expand between joints of the URDF",
     ),
     Refusal(("geometry: dh",), ("arm: loop",), "an arm with closed loops has no DH table"),

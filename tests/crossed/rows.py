@@ -42,6 +42,7 @@ BESIDE: tuple[tuple[str, ...], ...] = (
     ("motion: late",),
     ("noise: an arm",),
     ("terms: bearings",),
+    ("terms: torque offsets",),
     ("observes: board", "tools: turned"),
     ("observes: socket", "known: on a link"),
     ("observes: plane", "known: on a link"),
