@@ -270,7 +270,7 @@ def _with(
         begun = {} if camera.free or camera.name not in lenses else lenses[camera.name]._asdict()
         camera = replace(camera, free=camera.free or _NUMBERS, **begun)
     elif not (camera.unknown or camera.found):
-        camera = replace(camera, free=())
+        camera = replace(camera, free=(), lens_sigma={})
     if "scale" not in freed:
         board = replace(board, scale_sigma=0.0)
     if "shape" not in freed:

@@ -129,14 +129,14 @@ def measurements_of(
     of: OneClock | None,
 ) -> Measurements:
     """Read the table of one section, with its instrument, lens, board, clock and load."""
-    clock = _clock(section, job, of)
+    clock, seen_from = _clock(section, job, of), robot.with_tip(section.tip or robot.tip)
     if section.instrument is not None and section.instrument in arms:
         if clock is not None:
             raise JobError(f"{section.file}: readings: an arm that measures has its own, and is no stream.")
-        data, found = touched(folder / section.file, arms[section.instrument].arm, robot, _columns(section))
+        arm, columns = arms[section.instrument].arm, _columns(section)
+        data, found = touched(folder / section.file, arm, seen_from, columns, in_order=section.in_order)
         doubts += found
         return _under_its_load(data.named(tool=section.tool, setup=section.setup), section, robot)
-    seen_from = robot.with_tip(section.tip or robot.tip)
     try:
         how: dict[str, Any] = {
             "sigma": (in_si(section.sigma), in_si(section.sigma_angle)),

@@ -59,14 +59,20 @@ class TouchingArm:
 
 @checked
 def touched(
-    path: str | Path, arm: TouchingArm, robot: Robot, columns: Mapping[str, str] | Columns = AS_WRITTEN
+    path: str | Path,
+    arm: TouchingArm,
+    robot: Robot,
+    columns: Mapping[str, str] | Columns = AS_WRITTEN,
+    *,
+    in_order: bool = False,
 ) -> tuple[Measurements, tuple[Finding, ...]]:
     """Return what a table of touched points says of ``robot``, and what looks wrong with the arm's readings.
 
         data, findings = calib.measuring.touched("touches.csv", arm, robot)
 
-    The arm's columns become the position. Raises MeasurementError when a column of the arm is missing, when one is both
-    the arm's and the robot's, and as :func:`calib.read_measurements` does.
+    The arm's columns become the position. ``in_order``: whether the order of the rows says from which side the robot's
+    joints were reached. Raises MeasurementError when a column of the arm is missing, when one is both the arm's and the
+    robot's, and as :func:`calib.read_measurements` does.
     """
     table = read_table(path, columns)
     own: dict[str, Dimension] = {reading.name: reading.dimension for reading in arm.machine.robot.readings}
@@ -105,6 +111,7 @@ def touched(
             robot.readings,
             "position",
             sigma=arm.sigma,
+            in_order=in_order,
             joints=Joints.of(robot),
         ),
         tuple(finding for finding in doubts if finding.code in _OF_READINGS),

@@ -29,6 +29,8 @@ _QUADRATIC = ("bend_x", "bend_y", "twist", "aspect", "shear")
 # Marks are told by their places; what is nearer than this, in m, is one place.
 _ONE_PLACE = 1e-6
 _FLAT = 1e-9
+# Places and marks that are compared at a time: 24 MB.
+_PAIRS = 1_000_000
 # A shape takes the places of so many marks.
 _LEAST_MARKS = 6
 
@@ -80,9 +82,15 @@ class Board:
 
     def numbers(self, places: Array) -> IntArray:
         """Return which of the marks (n,) are at places (n, 3); -1 for none."""
-        apart = np.linalg.norm(places[:, None] - self.marks[None], axis=2)
-        nearest = np.argmin(apart, axis=1)
-        return np.where(apart[np.arange(len(places)), nearest] < _ONE_PLACE, nearest, -1).astype(np.intp)
+        found = np.full(len(places), -1, dtype=np.intp)
+        step = max(_PAIRS // max(len(self.marks), 1), 1)
+        for start in range(0, len(places), step):
+            some = places[start : start + step]
+            apart = np.linalg.norm(some[:, None] - self.marks[None], axis=2)
+            nearest = np.argmin(apart, axis=1)
+            near = apart[np.arange(len(some)), nearest] < _ONE_PLACE
+            found[start : start + step] = np.where(near, nearest, -1)
+        return found
 
 
 def shape_modes(marks: Array, shape: BoardShape) -> Array:

@@ -83,7 +83,8 @@ def seen_by(data: Measurements, camera: Camera, board: Board | None = None) -> M
     mark = None
     if board is not None:
         roles |= board_scalars(board)
-        if board.shape != "flat":
+        # Also of a flat board: the report asks what another shape would change.
+        if len(board.marks):
             mark = board.numbers(data.value[:, 2:])
             if (mark < 0).any():
                 row = int(np.argmin(mark))
@@ -91,7 +92,7 @@ def seen_by(data: Measurements, camera: Camera, board: Board | None = None) -> M
                 raise MeasurementError(
                     f"{data.where}:{data.lines[row]}: no mark of the board {board.name!r} is at {x:g}, {y:g}, {z:g} mm."
                 )
-            mark = read_only_view(mark)
+            mark = read_only_view(mark) if board.shape != "flat" else None
     return replace(
         data,
         camera=camera,

@@ -195,6 +195,16 @@ def test_the_planted_cause_is_named(cause: str) -> None:
     assert max(shares.values()) <= found.tool
 
 
+def test_a_lens_that_is_about_known_is_held_where_another_cause_is_tried() -> None:
+    """Numbers that are held have no prior; asking for one refused the whole calibration."""
+    rng = np.random.default_rng(6)
+    true = scene(rng, NOMINAL, "tip", sigma=SIGMA)
+    given = replace(eye("tip", SIGMA), free=("fx", "fy"), lens_sigma={"fx": 2.0, "fy": 2.0})
+    model = calib.error_model(ROBOT, offsets=["elbow_joint", "wrist_1_joint"], base="fixed", tool="pose")
+    found = blame(*judged(true, model, given, Board(marks=BOARD, shape="quadratic")))
+    assert found is not None
+
+
 @pytest.mark.parametrize("cause", ["scale", "arm"])
 def test_of_very_many_photographs_some_tell_the_cause(cause: str, monkeypatch: pytest.MonkeyPatch) -> None:
     fit, sets = planted(cause)

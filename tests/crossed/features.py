@@ -76,6 +76,12 @@ class Draft:
     renamed: bool = False
     geometry: str = "all"
     arm: str = "turning"
+    motion: str = ""
+    places: tuple[str, ...] = ("",)
+    placed_by: str = ""
+    points: bool = False
+    board: bool = False
+    elbow: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,7 +89,7 @@ class Feature:
     """One level of one axis: the keys of a job that it stands for, and what it makes of a draft.
 
     ``twin``: a feature that goes the same way through the program; scripts/development/cross_features.py alone meets
-    this one.
+    this one. ``beside``: in the suite it stands in the rows of ``BESIDE`` alone, and the script crosses it with all.
     """
 
     axis: str
@@ -95,6 +101,7 @@ class Feature:
     job: Mapping[str, Any] = field(default_factory=dict)
     section: Mapping[str, Any] = field(default_factory=dict)
     twin: str = ""
+    beside: bool = False
 
     @cached_property
     def label(self) -> str:
@@ -174,14 +181,34 @@ FEATURES: tuple[Feature, ...] = (
         robot={"payload": _PAYLOAD, "gravity": ["1 m/s2", "0 m/s2", "-9.7 m/s2"]},
         error_model=_free(_of_masses()),
     ),
-    Feature("terms", "told", _keys(_told()), {"told": True}, error_model=_free(_told())),
+    Feature(
+        "terms",
+        "told",
+        _keys(_told()),
+        {"told": True},
+        error_model=_free(_told()),
+    ),
+    Feature(
+        "terms",
+        "torque offsets",
+        ("error_model.torque_offsets",),
+        {"told": True},
+        error_model=_free(_told()) | {"torque_offsets": "free"},
+        beside=True,
+    ),
+    Feature("terms", "bearings", ("error_model.lateral",), error_model={"lateral": ["@second"]}, beside=True),
     Feature("terms", "auto", ("error_model.terms",), {"told": True}, error_model={"terms": "auto"}),
     Feature("sides", "by joint", (), {"said": "each"}),
     Feature("sides", "by row", (), {"said": "row"}),
     Feature("sides", "in order", ("measurements.in_order",), {"said": "order"}, section={"in_order": True}),
     Feature("geometry", "all", ("error_model.offsets", "error_model.placements")),
     Feature("geometry", "offsets", (), {"geometry": "offsets"}),
-    Feature("geometry", "dh", ("error_model.dh", "error_model.dh_convention"), {"geometry": "dh"}),
+    Feature(
+        "geometry",
+        "dh",
+        ("error_model.dh", "error_model.dh_convention", "error_model.dh_parallel"),
+        {"geometry": "dh"},
+    ),
     Feature("observes", "position", ("measurements.observes", "measurements.file")),
     Feature("observes", "pose", ("measurements.sigma_angle",), {"kind": "pose"}),
     Feature("observes", "socket", (), {"kind": "socket"}),
@@ -202,8 +229,26 @@ FEATURES: tuple[Feature, ...] = (
         tuple(f"instruments.{key}" for key in ("camera_on", "fx", "fy", "cx", "cy", "k1")),
         {"kind": "pixels"},
     ),
+    Feature(
+        "observes",
+        "board",
+        (
+            *(f"instruments.{key}" for key in ("lens", "size", *(f"lens_sigma.{name}" for name in ("fx", "fy")))),
+            "measurements.board",
+        ),
+        {"kind": "pixels", "board": True},
+        beside=True,
+    ),
     Feature("noise", "sigma", ("measurements.sigma",)),
     Feature("noise", "column", (), {"noise": "column"}),
+    Feature("noise", "column of each axis", (), {"noise": "axes"}, twin="column"),
+    Feature(
+        "noise",
+        "an arm",
+        ("instruments.urdf", "instruments.tip", "instruments.point"),
+        {"noise": "arm"},
+        beside=True,
+    ),
     Feature(
         "noise",
         "tracker",
@@ -252,6 +297,35 @@ FEATURES: tuple[Feature, ...] = (
     ),
     Feature("base", "sought", ("error_model.base",), error_model={"base": "pose"}),
     Feature("base", "known", ("base.position", "base.quaternion"), error_model={"base": "fixed"}),
+    Feature("place", "one"),
+    Feature("place", "two", (), {"places": ("left", "right")}, beside=True),
+    Feature(
+        "place",
+        "about known",
+        tuple(f"setups.{key}" for key in ("position", "quaternion", "prior.length", "prior.angle")),
+        {"places": ("left", "right"), "placed_by": "prior"},
+        beside=True,
+    ),
+    Feature(
+        "place",
+        "loaded",
+        tuple(f"setups.{key}" for key in ("gravity", "payload.mass", "payload.position", "payload.link")),
+        {"places": ("left", "right"), "placed_by": "load"},
+        beside=True,
+    ),
+    Feature("tips", "one"),
+    Feature("tips", "two", ("measurements.tip", "measurements.tool"), {"elbow": True}, beside=True),
+    Feature("point", "the tool's"),
+    Feature("point", "of each row", (), {"points": True}, beside=True),
+    Feature("motion", "at rest"),
+    Feature(
+        "motion",
+        "stream",
+        tuple(f"measurements.{key}" for key in ("readings", "clock", "clock_of", "gap")),
+        {"motion": "stream"},
+        beside=True,
+    ),
+    Feature("motion", "late", ("measurements.latency",), {"motion": "late"}, beside=True),
     Feature("judge", "validate", ("measurements.use",)),
     Feature("judge", "held out", ("measurements.hold_out",), {"judge": "hold_out"}, section={"hold_out": 0.25}),
     Feature("judge", "nothing", (), {"judge": ""}),
@@ -269,7 +343,7 @@ FEATURES: tuple[Feature, ...] = (
         "solver",
         "total differential",
         ("solver.kind", "solver.stop", "solver.rounding", "solver.most"),
-        job={"solver": {"kind": "total_differential", "stop": "0.1 mm", "most": 15}},
+        job={"solver": {"kind": "total_differential", "stop": "0.1 mm", "rounding": "0.00001 mrad", "most": 15}},
     ),
     Feature("null_space", "nearest", ("error_model.null_space",), error_model={"null_space": "nearest"}),
     Feature("null_space", "minimal", (), error_model={"null_space": "minimal"}),
@@ -284,8 +358,15 @@ FEATURES: tuple[Feature, ...] = (
     ),
     Feature("known", "renamed", ("measurements.targets",), {"known": "renamed"}),
     Feature("known", "length", ("measurements.length_offset",), {"known": "length"}),
+    Feature("known", "on a link", ("targets.on",), {"known": "link"}, beside=True),
     Feature("header", "ours"),
-    Feature("header", "theirs", ("measurements.columns",), {"renamed": True}),
+    Feature(
+        "header",
+        "theirs",
+        ("measurements.columns", "measurements.ignore"),
+        {"renamed": True},
+        section={"ignore": ["remark"]},
+    ),
 )
 
 AXES: tuple[str, ...] = tuple(dict.fromkeys(feature.axis for feature in FEATURES))
@@ -310,15 +391,17 @@ REFUSALS: tuple[Refusal, ...] = (
     ),
     Refusal(
         ("solver: total differential",),
-        tuple(f"terms: {name}" for name in ("of readings", "of masses", "told", "auto")),
+        tuple(f"terms: {name}" for name in ("of readings", "of masses", "told", "torque offsets", "bearings", "auto")),
         "the total differential takes no joint terms",
     ),
     Refusal(
-        ("solver: total differential",), ("prior: stated", "prior: learned"), "the total differential takes no priors"
+        ("solver: total differential",),
+        ("prior: stated", "prior: learned", "place: about known"),
+        "the total differential takes no priors",
     ),
     Refusal(
         ("solver: total differential",),
-        tuple(f"observes: {kind}" for kind in get_args(measured.Kind) if kind != "position"),
+        tuple(f"observes: {kind}" for kind in (*get_args(measured.Kind), "board") if kind != "position"),
         "the total differential takes positions only",
     ),
     Refusal(
@@ -340,7 +423,7 @@ REFUSALS: tuple[Refusal, ...] = (
     ),
     Refusal(
         ("known: relation",),
-        tuple(f"observes: {kind}" for kind in ("position", "pose", "pair_distance", "indicator", "pixels")),
+        tuple(f"observes: {kind}" for kind in ("position", "pose", "pair_distance", "indicator", "pixels", "board")),
         "relations: a known distance is between two points, and 's[01]' is (in no measurement|a plane|a frame)",
     ),
     Refusal(
@@ -350,40 +433,78 @@ REFUSALS: tuple[Refusal, ...] = (
     ),
     Refusal(
         ("known: length",),
-        tuple(f"observes: {kind}" for kind in ("position", "pose", "socket", "plane", "indicator", "pixels")),
+        tuple(f"observes: {kind}" for kind in ("position", "pose", "socket", "plane", "indicator", "pixels", "board")),
         "length_offset: a .* has no length",
     ),
-    Refusal(("geometry: dh",), ("terms: of masses", "terms: told"), "links bend and expand between joints of the URDF"),
+    Refusal(
+        ("geometry: dh",),
+        ("terms: of masses", "terms: told", "terms: torque offsets", "terms: bearings"),
+        "links bend and expand between joints of the URDF",
+    ),
     Refusal(("geometry: dh",), ("arm: loop",), "an arm with closed loops has no DH table"),
-    Refusal(("levels: gaussian",), ("observes: socket", "observes: pixels"), "needs measurements of positions"),
-    Refusal(("noise: tracker",), ("observes: socket", "observes: pixels"), "a laser.tracker measures no"),
+    Refusal(
+        ("levels: gaussian",),
+        ("observes: socket", "observes: pixels", "observes: board"),
+        "needs measurements of positions",
+    ),
+    Refusal(
+        ("noise: tracker",), ("observes: socket", "observes: pixels", "observes: board"), "a laser.tracker measures no"
+    ),
+    Refusal(
+        ("noise: an arm",),
+        ("observes: pose", "observes: socket", "observes: pixels", "observes: board"),
+        "an arm that touches sees positions only",
+    ),
+    Refusal(
+        ("noise: an arm",), ("motion: stream", "motion: late"), "an arm that measures has its own, and is no stream"
+    ),
+    Refusal(
+        ("observes: board",),
+        ("tools: one", "tools: two"),
+        'tool: is "position", and the orientation of the camera on the tip in .* is not known; write "pose"',
+    ),
+    Refusal(
+        ("point: of each row",),
+        ("observes: pose", "observes: pixels", "observes: board"),
+        "point",
+    ),
+    Refusal(("geometry: dh",), ("tips: two", "known: on a link"), "a DH table is of one arm, not of 2 links"),
+    Refusal(
+        ("tips: two", "known: on a link"),
+        ("levels: grid", "levels: gaussian"),
+        "a residual_model is of one arm with one tip, and the job has",
+    ),
+    Refusal(
+        ("known: on a link",),
+        ("observes: position", "observes: pose", "observes: pair_distance"),
+        "targets: 's0' does not appear in the measurements",
+    ),
 )
 
 # Keys of the job's schema that no feature stands for, and why.
 EXEMPT: Mapping[str, str] = {
     "schema": "says which schema this is",
     "robot.mesh_roots": "matters to drawing alone; tests/presentation/test_scene.py",
-    **{f"error_model.{key}": "gives way by itself; tests/identification/test_bearings.py" for key in _BY_THEMSELVES},
-    "error_model.torque_offsets": "needs measured torques; tests/identification/test_torques.py",
-    "error_model.dh_parallel": "which of two DH numbers is free; tests/identification/test_dh_model.py",
+    **{
+        f"error_model.{key}": "gives way by itself; tests/identification/test_bearings.py"
+        for key in _BY_THEMSELVES
+        if key != "lateral"
+    },
     **{
         f"instruments.{key}": "an arm that touches; its backlash and its grid: tests/job/test_arm.py"
-        for key in ("model", "urdf", "tip", "tool", "point", "pivot")
+        for key in ("model", "tool", "pivot")
     },
     **dict.fromkeys(
         (
-            *(f"setups.{key}" for key in ("position", "quaternion", "prior.length", "prior.angle")),
             *(f"base.prior.{key}" for key in ("length", "angle")),
-            *(f"measurements.{key}" for key in ("tip", "tool", "setup")),
-            "targets.on",
+            "measurements.setup",
         ),
         "several set-ups, tips and tools by name; tests/job/test_set_ups.py, tests/job/test_trees.py",
     ),
     **dict.fromkeys(
         (
             "robot.links",
-            *(f"{of}.payload.{key}" for of in ("setups", "measurements") for key in ("mass", "position", "link")),
-            "setups.gravity",
+            *(f"measurements.payload.{key}" for key in ("mass", "position", "link")),
         ),
         "loads that differ from table to table; tests/job/test_loads.py",
     ),
@@ -391,16 +512,13 @@ EXEMPT: Mapping[str, str] = {
         f"about.{key}": "repeated in the report; tests/presentation/test_report.py"
         for key in ("date", "note", "operator", "serial")
     },
-    **dict.fromkeys(
-        (f"measurements.{key}" for key in ("readings", "clock", "clock_of", "latency", "gap")),
-        "streams, whose clocks are found; tests/job/test_streams.py",
-    ),
     "accept": "answers checks of the verdict; tests/assessment/test_trust.py",
-    **{f"measurements.{key}": "how a table is read; tests/proposal" for key in ("ignore", "orientation")},
+    "measurements.orientation": "how a table is read; tests/proposal",
     **{f"instruments.{key}": "a camera's lens, as k1 is" for key in ("k2", "k3", "k4", "k5", "k6", "p1", "p2")},
-    **{f"instruments.lens_sigma.{key}": "priors of a lens; tests/identification/test_lenses.py" for key in NAMES},
-    **dict.fromkeys(
-        ("instruments.lens", "instruments.size", "instruments.lens_file", "measurements.board"),
-        "lens and board as unknowns; tests/identification/test_lenses.py, tests/job/test_photographs.py",
-    ),
+    **{
+        f"instruments.lens_sigma.{key}": "priors of a lens; tests/identification/test_lenses.py"
+        for key in NAMES
+        if key not in ("fx", "fy")
+    },
+    "instruments.lens_file": "the numbers of a lens in other words; tests/measurement/test_lens_files.py",
 }

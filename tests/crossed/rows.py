@@ -20,15 +20,42 @@ def refused(a: Feature, b: Feature) -> str | None:
 
 @cache
 def rows(*, twins: bool = False) -> tuple[tuple[Feature, ...], ...]:
-    """The rows, always the same ones; features with a twin are met where ``twins``."""
-    levels = [tuple(feature for feature in of_axis(axis) if twins or not feature.twin) for axis in AXES]
+    """The rows, always the same ones; features with a twin, and those ``beside``, are crossed where ``twins``."""
+    met = [tuple(one for one in of_axis(axis) if twins or not (one.twin or one.beside)) for axis in AXES]
+    levels = [own for own in met if len(own) > 1]
 
     @cache
     def allowed(i: int, a: int, j: int, b: int) -> bool:
         return refused(levels[i][a], levels[j][b]) is None
 
     found = covering([len(own) for own in levels], allowed)
-    return tuple(tuple(levels[i][level] for i, level in enumerate(row)) for row in found)
+    return tuple(with_usual(*(levels[i][level] for i, level in enumerate(row))) for row in found)
+
+
+# Rows of what the suite does not cross with all.
+BESIDE: tuple[tuple[str, ...], ...] = (
+    ("place: two",),
+    ("place: about known",),
+    ("tips: two",),
+    ("point: of each row",),
+    ("motion: stream",),
+    ("motion: late",),
+    ("noise: an arm",),
+    ("terms: bearings",),
+    ("terms: torque offsets",),
+    ("observes: board", "tools: turned"),
+    ("observes: socket", "known: on a link"),
+    ("observes: plane", "known: on a link"),
+    ("terms: of masses", "motion: stream"),
+    ("solver: total differential", "geometry: offsets", "motion: late"),
+    ("solver: total differential", "geometry: offsets", "tips: two"),
+    ("terms: of masses", "place: loaded"),
+)
+
+
+def beside() -> list[tuple[Feature, ...]]:
+    """The rows of ``BESIDE``."""
+    return [with_usual(*(LABELS[label] for label in row)) for row in BESIDE]
 
 
 def refused_pairs() -> list[tuple[Feature, Feature, str]]:

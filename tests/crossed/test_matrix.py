@@ -5,6 +5,7 @@ or another sentence. All rows through all commands: ``python scripts/development
 """
 
 import functools
+import re
 from itertools import combinations
 from pathlib import Path
 from typing import get_args
@@ -22,7 +23,7 @@ from calib.job.schema import Job
 from tests.crossed import walk
 from tests.crossed.features import AXES, EXEMPT, FEATURES, REFUSALS, of_axis
 from tests.crossed.pairwise import covering, pairs_of
-from tests.crossed.rows import matches, refused, refused_pairs, rows, told, with_usual
+from tests.crossed.rows import BESIDE, beside, matches, refused, refused_pairs, rows, told, with_usual
 from tests.crossed.simulate import build
 
 # In the suite every row predicts, verifies and commands; of the other steps each takes its turn.
@@ -42,6 +43,12 @@ def test_a_row_goes_through(number: int, tmp_path: Path) -> None:
     case = build(rows()[number], tmp_path / "job", seed=number)
     steps = [*ALWAYS, IN_TURNS[number % len(IN_TURNS)]]
     walk.walk(case, [*steps, *(RARELY if number % 48 == 3 else ())])
+
+
+@pytest.mark.parametrize("number", range(len(BESIDE)), ids=lambda k: ", ".join(BESIDE[k]))
+def test_what_is_beside_the_matrix_goes_through(number: int, tmp_path: Path) -> None:
+    case = build(beside()[number], tmp_path / "job", seed=1)
+    walk.walk(case, [*ALWAYS, IN_TURNS[number % len(IN_TURNS)]])
 
 
 PAIRS = refused_pairs()
@@ -114,6 +121,20 @@ def test_every_command_and_public_function_is_walked() -> None:
     # Of the named submodules some are walked as well.
     below = {name for module in (calib.judging, calib.measuring) for name in module.__all__}
     assert (walk.WALKED | set(walk.ELSEWHERE)) <= commands | functions | below
+
+
+def test_what_is_said_to_be_walked_is_called_and_what_is_not_has_its_tests() -> None:
+    source = Path(walk.__file__).read_text(encoding="utf-8")
+    steps = source[source.index("class Walked") :]
+    uncalled = {name for name in walk.WALKED if not re.search(rf'run\("{name}"|\b{name}[(.]', steps)}
+    # A job reads its robot, makes model and fit, and seeks outliers; what the live view serves, ``live.answer`` says.
+    assert uncalled <= {"error_model", "identify", "load_robot", "outliers", "view"}, uncalled
+    named = {path for reason in walk.ELSEWHERE.values() for path in re.findall(r"tests/[\w/.]+", reason)}
+    root = Path(__file__).parents[2]
+    assert not [path for path in named if not (root / path).exists()]
+    # Beside the matrix each feature is met at least once.
+    met = {feature.label for row in beside() for feature in row}
+    assert {feature.label for feature in FEATURES if feature.beside} <= met
 
 
 def test_what_is_read_by_name_is_there() -> None:

@@ -171,6 +171,12 @@ def two(change: dict[str, object], board: Board | None = None) -> list[calib.Mea
             ],
             "no mark of the board 'board' is at 0, 30, 0 mm",
         ),
+        (
+            lambda: [
+                photographed(scene(np.random.default_rng(2), NOMINAL, "tip"), 2, eye("tip"), Board(marks=2 * BOARD))
+            ],
+            "no mark of the board 'board' is at 0, 30, 0 mm",
+        ),
     ],
 )
 def test_refusals(sets, says: str) -> None:

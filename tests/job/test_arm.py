@@ -18,6 +18,7 @@ from calib.machine.grid import grid_from_residuals
 from calib.machine.touching import TouchingArm, touched
 from calib.measurement.measurements import Measurements
 from calib.measurement.table import read_table
+from calib.robot.conditions import in_order
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.terms import JointTerm
 from tests.support.cases import CASE as ARM_CASE
@@ -54,6 +55,17 @@ def test_positions_are_the_arms_tool_point_in_its_base(folder: Path) -> None:
     assert np.unique(touched.sigma).tolist() == [1e-4]
     assert touched.reading_names == ("tilt", "rotary")
     assert touched.tools == ("A", "B")
+
+
+def test_what_a_table_says_of_the_touched_robot_is_not_lost(folder: Path) -> None:
+    """Its link, and the order of its rows, which tells from which side joints were reached."""
+    for file in ("touched", "validation"):
+        table = f'file = "{file}.csv"\n'
+        edit(JOB, (table, f'{table}in_order = true\ntip = "cradle"\n'))(folder)
+    data = load(folder / JOB).identify[0]
+    assert data.tip == "cradle"
+    assert data.conditions.approach is not None
+    assert np.array_equal(data.conditions.approach, in_order(data.readings))
 
 
 def test_pivot_finds_the_spike(folder: Path) -> None:

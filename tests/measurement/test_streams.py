@@ -215,6 +215,31 @@ def test_a_latency_is_found_where_the_clock_is_given() -> None:
     assert fit.sigmas[-1] < 1e-4
 
 
+def test_a_clock_is_found_although_the_base_was_moved_within_the_stream() -> None:
+    """One map of positions for both places would follow neither; the step itself is no motion of the arm."""
+    made = streams.streams(14, seconds=40.0, offset=5.2, skew=8e-4)
+    n = len(made.seen["time [s]"])
+    later, moved = np.arange(n) >= n // 2, machines.pose((0.4, -0.3, 0.2), (0.1, 0.2, 0.7))
+    points = np.column_stack([made.seen[f"{axis} [m]"] for axis in "xyz"])
+    points[later] = points[later] @ moved[:3, :3].T + moved[:3, 3]
+    seen = made.seen | {f"{axis} [m]": points[:, k] for k, axis in enumerate("xyz")}
+    told: dict[str, Any] = {**seen, "setup": np.where(later, "there", "here")}
+    data = calib.measuring.read_stream(told, made.robot, made.joints)
+    assert data.stream is not None
+    found = {one.name: one.start for one in data.scalars}
+    assert found["clock.offset"] == pytest.approx(made.recorded.offset_at(data.stream.middle), abs=2e-3)
+    assert found["clock.skew"] == pytest.approx(8e-4, abs=1e-4)
+
+
+def test_points_all_over_a_tool_do_not_show_a_clock(made: Streams) -> None:
+    rng, n = np.random.default_rng(4), len(made.seen["time [s]"])
+    spots = rng.uniform(-0.5, 0.5, (n, 3))
+    told = made.seen | {f"{axis} [m]": made.seen[f"{axis} [m]"] + spots[:, k] for k, axis in enumerate("xyz")}
+    told |= {f"point_{axis} [m]": spots[:, k] for k, axis in enumerate("xyz")}
+    with pytest.raises(CalibError, match="its points are at other places of the tool from row to row"):
+        calib.measuring.read_stream(told, made.robot, made.joints)
+
+
 @pytest.fixture(scope="module")
 def two_of_one_clock() -> tuple[Streams, dict[str, np.ndarray], dict[str, np.ndarray]]:
     """One tracker's rows as those of two, of which the second comes 8 ms late, and begins and ends later."""

@@ -139,7 +139,16 @@ def _lag(data: Measurements, stream: Stream, clock: Clock, robot: Robot) -> Lag 
     seen, moved = _moving(data, stream.joints, robot)
     if clock.latency:
         return refined(seen, moved, stream.middle, Lag(0.0, 0.0)).lag
-    lag = clock_lag(seen, moved, stream.middle, not_bridged(seen.times, clock.gap))
+    try:
+        lag = clock_lag(seen, moved, stream.middle, not_bridged(seen.times, clock.gap))
+    except MeasurementError as e:
+        if data.points is None or not np.ptp(data.points, axis=0).any():
+            raise
+        raise MeasurementError(
+            f"{data.where}: its points are at other places of the tool from row to row (point_x, point_y, point_z), so "
+            'their speed does not show when they were measured; write clock = "given" if both files have one clock, or '
+            "stream one point."
+        ) from e
     if not abs(lag.offset) <= _FARTHEST:
         raise MeasurementError(
             f"{data.where}: its clock is {lag.offset:.6g} s apart from that of {moved.where}; allowed are "
@@ -162,4 +171,5 @@ def _moving(data: Measurements, joints: JointStream, robot: Robot) -> tuple[Seen
         return view.tips(readings, conditions=ordinary(readings))
 
     moved = Moved(tips, joints.covers, float(joints.starts[0]), float(joints.ends[-1]), joints.where)
-    return Seen(data.times, data.position, data.where), moved
+    groups = np.unique(np.column_stack([data.setup, data.tool]), axis=0, return_inverse=True)[1].ravel()
+    return Seen(data.times, data.position, data.where, groups.astype(np.intp)), moved

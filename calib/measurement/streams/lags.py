@@ -63,11 +63,15 @@ Tips = Callable[[Array], Array]
 
 
 class Seen(NamedTuple):
-    """Measured points (N, 3) in m at times (N,) in s by the instrument's clock; ``where`` they are from."""
+    """Measured points (N, 3) in m at times (N,) in s by the instrument's clock; ``where`` they are from.
+
+    ``groups`` (N,): numbers from 0; rows of one number have one base and one tool.
+    """
 
     times: Array
     points: Array
     where: str
+    groups: IntArray
 
 
 class Moved(NamedTuple):
@@ -95,10 +99,15 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
                 f"{where}: its times span {span:.4g} s, and a free clock is searched in {_LONGEST:g} s at the most; "
                 "give a part of the rows, or correct the unit of 'time'."
             )
-    measured = _speeds(seen.times, seen.points, gap)
+    measured = _speeds(seen, gap)
     step = float(np.median(np.diff(seen.times)))
     # Equal steps differ in their last digits.
-    if step > (1.0 - 1e-6) * gap or not measured.known.any():
+    apart = step > (1.0 - 1e-6) * gap
+    if not apart and np.ptp(seen.groups) and not measured.known.any():
+        raise MeasurementError(
+            f"{seen.where}: tool or set-up change from row to row, which shows no speed; give each a table of its own."
+        )
+    if apart or not measured.known.any():
         raise MeasurementError(
             f"{seen.where}: its rows are {step:.4g} s apart, and gaps from {gap:.4g} s on are not bridged; allow "
             "longer gaps, or measure more often."
@@ -150,11 +159,14 @@ class _Speeds(NamedTuple):
     known: BoolArray
 
 
-def _speeds(times: Array, points: Array, gap: float) -> _Speeds:
+def _speeds(seen: Seen, gap: float) -> _Speeds:
+    times, points = seen.times, seen.points
     grid = np.arange(times[0], times[-1], _STEP)
     places = np.column_stack([np.interp(grid, times, points[:, k]) for k in range(3)])
     after = np.clip(np.searchsorted(times, grid), 1, len(times) - 1)
-    return _speeds_of_grid(float(times[0]), places, times[after] - times[after - 1] < gap)
+    # From one base or tool to another is no motion of the arm.
+    joined = (times[after] - times[after - 1] < gap) & (seen.groups[after] == seen.groups[after - 1])
+    return _speeds_of_grid(float(times[0]), places, joined)
 
 
 def _speeds_of_grid(start: float, places: Array, known: BoolArray) -> _Speeds:
@@ -162,7 +174,8 @@ def _speeds_of_grid(start: float, places: Array, known: BoolArray) -> _Speeds:
     values, all_known = np.zeros(n), np.zeros(n, dtype=np.bool_)
     if n > 2 * k:
         values[k : n - k] = np.linalg.norm(places[2 * k :] - places[: n - 2 * k], axis=1) / (2 * k * _STEP)
-        all_known[k : n - k] = known[2 * k :] & known[: n - 2 * k] & known[k : n - k]
+        unknown = np.concatenate([[0], np.cumsum(~known)])
+        all_known[k : n - k] = unknown[2 * k + 1 :] == unknown[: n - 2 * k]
     return _Speeds(start, np.where(all_known, values, 0.0), all_known)
 
 
@@ -298,12 +311,12 @@ def _by_what_they_leave(fitted: list[Refined]) -> list[Refined]:
 def refined(seen: Seen, moved: Moved, middle: float, near: Lag) -> Refined:
     """Return the lag that explains positions best, of starts within a second of one that is nearly right."""
     rows = np.unique(np.linspace(0, len(seen.times) - 1, _ROWS).astype(np.intp))
-    t, p = seen.times[rows], seen.points[rows]
+    t, p, groups = seen.times[rows], seen.points[rows], seen.groups[rows]
 
     def system(lag: Lag, at: Array) -> tuple[Array, Array, BoolArray]:
         u = at - lag.offset + lag.skew * (at - middle)
         known = moved.known(u - 2.0 * _STEP) & moved.known(u + 2.0 * _STEP)
-        return _columns(moved.tips(u[known])), u[known], known
+        return _columns(moved.tips(u[known]), groups[known]), u[known], known
 
     def left(lag: Lag) -> float:
         F, _, known = system(lag, t)
@@ -319,10 +332,10 @@ def refined(seen: Seen, moved: Moved, middle: float, near: Lag) -> Refined:
         )
     for _ in range(_ROUNDS):
         F, u, known = system(best, t)
-        F_after, F_before = (_columns(moved.tips(u + h)) for h in (1e-3, -1e-3))
+        F_after, F_before = (_columns(moved.tips(u + h), groups[known]) for h in (1e-3, -1e-3))
         theta = np.linalg.lstsq(F, p[known], rcond=1e-10)[0]
         v = ((F_after - F_before) @ theta) / 2e-3
-        # Of what the 13 columns leave, a change of the clock takes what they leave of the velocity.
+        # Of what the columns leave, a change of the clock takes what they leave of the velocity.
         Q = np.linalg.qr(F)[0]
         D = np.stack([-v, v * (t[known] - middle)[:, None]], axis=2)
         whole = np.linalg.norm(D.reshape(-1, 2), axis=0)
@@ -338,6 +351,7 @@ def refined(seen: Seen, moved: Moved, middle: float, near: Lag) -> Refined:
     return Refined(best, left(best), int(system(best, t)[2].sum()))
 
 
-def _columns(tips: Array) -> Array:
-    """Return what a point is linear in (n, 13), whatever base and tool are."""
-    return np.concatenate([tips[:, :3, 3], tips[:, :3, :3].reshape(-1, 9), np.ones((len(tips), 1))], axis=1)
+def _columns(tips: Array, groups: IntArray) -> Array:
+    """Return what points are linear in (n, 13 g), whatever base and tool of each of g groups are."""
+    own = np.concatenate([tips[:, :3, 3], tips[:, :3, :3].reshape(-1, 9), np.ones((len(tips), 1))], axis=1)
+    return np.concatenate([own * (groups == k)[:, None] for k in np.unique(groups)], axis=1)
