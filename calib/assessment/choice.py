@@ -1,11 +1,10 @@
 """Which joint terms a machine needs: forward selection, stopped by what it says of poses that it never saw.
 
-About the geometric fit everything is linear in the coefficients of joint terms. So the whitened Jacobian of geometry
-and of all candidates is taken once, there, and what would be hundreds of fits are eliminations on its Gram matrices,
-one for every fold. Step by step the candidate enters that lowers the sum of squares most for each of its coefficients,
-geometry being fitted again. Each fold goes its own way without having seen the rows it is judged by (T. Hastie, R.
-Tibshirani, J. Friedman, *The elements of statistical learning*, 2009, 7.10.2), and the one-standard-error rule says how
-many steps all rows then take.
+The choice is made in the linearised system of geometry and all candidates (:mod:`calib.assessment.linearised`). Step by
+step the candidate enters that lowers the sum of squares most for each of its coefficients, geometry being fitted again.
+Each fold goes its own way without having seen the rows it is judged by (T. Hastie, R. Tibshirani, J. Friedman, *The
+elements of statistical learning*, 2009, 7.10.2), and the one-standard-error rule says how many steps all rows then
+take.
 
 Terms must not harm, so that they are judged twice: by poses held out at random, and, as neighbours in joint space have
 much the same errors, by whole neighbourhoods. No step is taken that does not hold for neighbourhoods, and none that
@@ -16,16 +15,15 @@ A parameter without a prior of its own is held by its weak one, at the geometric
 at some, as many of every group as of the others. Fits, before and after it, take them all.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 
-from calib.assessment.all_harmonics import AllHarmonics, Known, Offer, better
-from calib.assessment.entering import Blocks, Products, filled
+from calib.assessment.all_harmonics import AllHarmonics, Offer, better
+from calib.assessment.linearised import Candidate, Judged, LinearisedSystem
 from calib.assessment.validation import (
     ChosenRows,
     HeldOut,
@@ -39,57 +37,31 @@ from calib.assessment.validation import (
     some_rows,
 )
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
 from calib.foundations.linear import one_thread
 from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
-from calib.identification.identifiability import NUMERICAL_TOLERANCE
 from calib.identification.identify import identify, identify_near
-from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
-from calib.identification.machine import values_at
-from calib.identification.parameters import directions, scales
-from calib.identification.system import without_rows
-from calib.identification.weights import sigmas_of
-from calib.machine.tool_motion import tool_jacobian
-from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
-from calib.robot.conditions import joined, ordinary
+from calib.robot.conditions import joined
 from calib.robot.joint_terms import ordered, parts
-from calib.robot.robot import Deviations, Robot
-from calib.robot.sampling import closing
+from calib.robot.robot import Robot
 from calib.robot.terms import KINDS, JointTerm, kind_of
 
 _AS_OFFERED: Mapping[str, object] = MappingProxyType({})
 # Rows that a choice looks at.
 _ENOUGH_ROWS = 10_000
-# Bytes of derivatives that are kept rather than made again.
-_MOST_KEPT = 2**28
 # So many groups of rows there must be for each coefficient.
 _GROUPS_EACH = 2
-# A coefficient that helps by less, in variances of what is left, ends the way: of one that does nothing it is 1.
-_BY_CHANCE = 2.0
 # By how many times the error of geometry alone may be larger away from what was measured than at poses held out.
 _FORETOLD = 2.0
 # What shows where it was measured makes errors of poses held out this much smaller, ...
 _SHOWS = 0.87
 # ... and what does not must make predictions between places scatter this much less.
 _STEADIER = 0.8
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """Terms that enter together: cosine and sine of one order of one reading, or a term alone."""
-
-    terms: tuple[JointTerm, ...]
-
-    @property
-    def name(self) -> str:
-        """Name for tables."""
-        first = self.terms[0]
-        return f"{first.owner}: {kind_of(first).said(first)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +174,14 @@ class Choice:
         ]
 
 
+class _Selected(NamedTuple):
+    """Steps of one selection ``among`` candidates: those that ``entered``, and what rows held out say of them."""
+
+    among: tuple[int, ...]
+    entered: tuple[int, ...]
+    near: Judged
+
+
 def candidates(
     robot: Robot, measurements: Sequence[Measurements] = (), options: Mapping[str, object] = _AS_OFFERED
 ) -> tuple[Candidate, ...]:
@@ -269,7 +249,7 @@ def choose_from(
         group, place = (np.unique(numbers[looked_at], return_inverse=True)[1] for numbers in (group, near.number))
         chosen_from = _offered(model, sets) if offered is None else tuple(offered)
         costs = _costs(chosen_from, apart=near.apart)
-        system = _System(geometric, chosen_from, rows.losses, looked_at, costs, rows.model_sigmas)
+        system = LinearisedSystem(geometric, chosen_from, rows.losses, looked_at, costs, rows.model_sigmas)
         progress("choosing joint terms: linearising")
         fold, blocks = folds(group, count), folds(place, count)
         products = system.products(fold)
@@ -286,7 +266,7 @@ def choose_from(
         among, entered, held = ways[-1 if weighed is not None and weighed.by_torques else 0]
         figures, rms = held.figures, held.rms
         most, away = smallest_unharmed(figures), list[HeldOut]()
-        elsewhere: _Judged | None = None
+        elsewhere: Judged | None = None
         if most:
             progress("choosing joint terms: judging away from what was measured")
             elsewhere = system.judged(blocks, place, system.products(blocks), among, most)
@@ -299,7 +279,7 @@ def choose_from(
                 scatter = system.scatter(poses_between(sets, looked_at, place), whole, elsewhere.values[:, : most + 1])
                 most = most if scatter[most] < _STEADIER * scatter[0] else 0
 
-        def far() -> _Judged:
+        def far() -> Judged:
             return elsewhere or system.judged(blocks, place, system.products(blocks), among, 0)
 
         harmonics = None
@@ -344,13 +324,13 @@ def _fitted(choice: Choice, rows: ChosenRows, apart: bool, progress: Callable[[s
 
 
 def _all_harmonics(
-    system: "_System",
+    system: LinearisedSystem,
     offered: Sequence[Candidate],
     entered: Sequence[int],
     largest: int,
     begin: Sequence[float],
-    near: "_Judged",
-    far: Callable[[], "_Judged"],
+    near: Judged,
+    far: Callable[[], Judged],
     progress: Callable[[str], None],
 ) -> AllHarmonics | None:
     """Return how all harmonics with learned widths predict beside what ``entered``; None where they are not offered.
@@ -376,7 +356,7 @@ def _all_harmonics(
         return None
     progress("choosing joint terms: judging all harmonics with learned widths")
 
-    def told(of: _Judged) -> tuple[HeldOut, float, bool]:
+    def told(of: Judged) -> tuple[HeldOut, float, bool]:
         values = offer.values(of.products, [system.columns(kept(way.order)) for way in of.ways])
         (squares,), rms = system.squares(of.fold, values[:, None])
         surely = better(squares, of.squares[len(entered)], of.group)
@@ -443,252 +423,3 @@ def _costs(offered: Sequence[Candidate], *, apart: bool) -> Array:
     on, and a wave of two coefficients that says as much there does not.
     """
     return np.array([len(one.terms) + (apart and kind_of(one.terms[0]).grows) for one in offered], dtype=np.float64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Way:
-    """Candidates in the order in which they entered, and changes (steps + 1, p) of the scaled parameters."""
-
-    order: tuple[int, ...]
-    values: Array
-
-
-class _Judged(NamedTuple):
-    """Ways of all folds, each without its rows, and what these say of every step: ``squares`` (steps + 1, N).
-
-    ``group`` (N,): from one to another errors are random. ``figures``: of every step; ``rms``: of every quantity.
-    """
-
-    products: Products
-    fold: IntArray
-    group: IntArray
-    ways: tuple[_Way, ...]
-    squares: Array
-    figures: list[HeldOut]
-    rms: Mapping[str, Array]
-
-    @property
-    def values(self) -> Array:
-        """What is found (folds, steps + 1, p)."""
-        return np.stack([way.values for way in self.ways])
-
-
-class _Selected(NamedTuple):
-    """Steps of one selection ``among`` candidates: those that ``entered``, and what rows held out say of them."""
-
-    among: tuple[int, ...]
-    entered: tuple[int, ...]
-    near: _Judged
-
-
-class _System:
-    """The linearised rows of geometry and all candidates, at the geometric fit."""
-
-    def __init__(
-        self,
-        geometric: Fit,
-        offered: Sequence[Candidate],
-        losses: Sequence[Loss] | None,
-        looked_at: BoolArray,
-        costs: Array,
-        model_sigmas: Sequence[float | None] | None = None,
-    ) -> None:
-        self._costs = costs
-        terms = [term for candidate in offered for term in candidate.terms]
-        full = with_terms(geometric.model, terms)
-        sets = geometric.measurements
-        frames, d = geometric.machine.frames, geometric.machine.deviations
-        held = Deviations(d.placements, d.offsets, np.zeros(len(terms)))
-        given = None if losses is None else tuple(losses)
-        whole = initial_problem(full, sets)
-        # Widths that geometry has taught are held to; those of candidates, where learned, would need them all at once.
-        known = {parameter.name: parameter.prior for parameter in geometric.parameters}
-        parameters = tuple(
-            p if (prior := known.get(p.name, p.prior)) == p.prior else replace(p, prior=prior) for p in whole.parameters
-        )
-        self._problem = replace(whole, parameters=parameters, reference=frames, held=held, given_losses=given)
-        self._x = values_at(full.robot, parameters, frames, held)
-        self._sigmas = sigmas_of(
-            self._problem, [noise.model**2 for noise in geometric.noise_by_rows], geometric.residuals
-        )
-        self._kept: tuple[tuple[int, slice, Array, Array], ...] | None = None
-        self._looked_at = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
-        self._numbers = sum(data.sigma[own].size for data, own in zip(sets, self._looked_at, strict=True))
-        # Known without any row: relations between targets, that turns and a size which nothing tells stay, and priors.
-        related, moving = without_rows(self._problem, self._sigmas, self._x)
-        rows = np.concatenate([related, np.pad(moving.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
-        self._known = rows.T @ rows
-        priors = np.array([parameter.hold for parameter in parameters]) ** 2
-        # A stated prior pulls towards zero; a weak one holds at the geometric fit.
-        stated = np.array([parameter.prior is not None for parameter in parameters])
-        unknowns = range(len(parameters))
-        self._known[unknowns, unknowns] += priors
-        self._known[:-1, -1] += priors * np.where(stated, self._x / scales(parameters), 0.0)
-        self._weak = np.where(stated, 0.0, priors)
-        self._fixed = self._problem.robust or (model_sigmas is not None and None not in model_sigmas)
-        self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
-        number = {parameter.name: k for k, parameter in enumerate(parameters)}
-        self._columns = [[number[term.name] for term in candidate.terms] for candidate in offered]
-        self._filled = filled(self._columns)
-
-    @property
-    def robot(self) -> Robot:
-        """The robot with the terms of all candidates."""
-        return self._problem.model.robot
-
-    @property
-    def known(self) -> Known:
-        """What is known beside all rows."""
-        shares = [np.mean((d.sigma / s) ** 2) for d, s in zip(self._problem.measurements, self._sigmas, strict=True)]
-        return Known(self._known, self._weak, np.array(self._geometry), float(np.sqrt(min(shares))), fixed=self._fixed)
-
-    def columns(self, candidates: Sequence[int]) -> IntArray:
-        """Return the columns of some candidates."""
-        return np.array([column for k in candidates for column in self._columns[k]], dtype=np.intp)
-
-    def _rows(self) -> Iterable[tuple[int, slice, Array, Array]]:
-        """Return set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block.
-
-        They are asked for again and again, and kept unless they are too many.
-        """
-        if self._kept is None:
-            width = 8 * (len(self._problem.parameters) + 1)
-            size = sum(width * sigmas.size for sigmas in self._sigmas)
-            if size > _MOST_KEPT:
-                return self._made()
-            self._kept = tuple(self._made())
-        return self._kept
-
-    def _made(self) -> Iterable[tuple[int, slice, Array, Array]]:
-        problem = self._problem
-        rates = problem.rates(problem.machine(self._x), scales(problem.parameters))
-        sets = zip(problem.measurements, self._sigmas, self._looked_at, strict=True)
-        for i, (every, sigmas, own) in enumerate(sets):
-            data, sigma = (every, sigmas) if own.all() else (every.subset(own), sigmas[own])
-            for block in rates.blocks(data):
-                whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
-                yield i, block.rows, sigma[block.rows], whole / sigma[block.rows, :, None]
-
-    def products(self, fold: IntArray) -> Products:
-        """Return the products of the columns of ``[J r]`` (p + 1) for the rows of every fold (N,)."""
-
-        def rows() -> Iterable[tuple[IntArray, Array]]:
-            start = 0
-            for _, _, _, block in self._rows():
-                yield fold[start : (start := start + len(block))], block
-
-        return Products(rows(), int(fold.max()) + 1, self._numbers, len(self._known), self._filled[0])
-
-    def judged(
-        self,
-        fold: IntArray,
-        group: IntArray,
-        products: Products,
-        among: Sequence[int],
-        steps: int,
-        progress: Callable[[str], None] = lambda _: None,
-    ) -> "_Judged":
-        """Return what rows held out say of so many ``steps`` among candidates.
-
-        ``fold`` (N,) and ``group`` (N,), from which errors are random, of rows; ``products``: of every fold.
-        """
-        ways = list[_Way]()
-        for k in range(len(products)):
-            progress(f"choosing joint terms: fold {k + 1} of {len(products)}")
-            ways.append(self.way(products, among, without=k, steps=steps))
-        progress("choosing joint terms: judging by what was held out")
-        squares, rms = self.squares(fold, np.stack([way.values for way in ways]))
-        return _Judged(products, fold, group, tuple(ways), squares, [held_out(row, group) for row in squares], rms)
-
-    def scatter(self, poses: Array, whole: Array, without: Array) -> Array:
-        """Return how far predictions of the tool at poses (n, nr) scatter after every step (steps + 1,), in m.
-
-        ``whole`` (steps + 1, p): what all rows have found; ``without`` (places, steps + 1, p): the same without each of
-        the places, for which others may have entered. Rms of the jackknife over places; infinite where no loop closes.
-        """
-        problem, places = self._problem, len(without)
-        machine = problem.machine(self._x)
-        at = poses[closing(problem.model.robot, poses, (machine.deviations,))]
-        if not len(at):
-            return np.full(len(whole), np.inf)
-        by_state = tool_jacobian(problem.model.robot, machine, at, ordinary(at))[:, :3]
-        J = by_state @ (directions(problem.parameters, by_state.shape[2]) * scales(problem.parameters))
-        change = (without - whole) @ J.reshape(-1, len(self._known) - 1).T
-        return np.asarray(np.sqrt((places - 1) / places * np.sum(np.mean(change**2, axis=2) * 3.0, axis=0)))
-
-    def way(
-        self,
-        products: Products,
-        among: Sequence[int],
-        *,
-        without: int | None = None,
-        steps: int | None = None,
-        most: int | None = None,
-        lasting: bool = False,
-    ) -> _Way:
-        """Return the way that rows with these products go ``among`` candidates, best first, ``without`` a fold.
-
-        At most so many ``steps``, and as ``most`` so many coefficients; ``lasting`` as long as the best
-        lowers the sum of squares by more than chance would.
-        """
-        p, first = len(self._known) - 1, len(self._geometry)
-        # Rows of what entered, as they were then, and solved for their own unknowns; no others are ever needed.
-        rows, solved = np.empty((p, p + 1)), np.empty((p, p + 1))
-        entered, ends, order = list[int](), [0], list[int]()
-
-        def enter(new: Sequence[int]) -> None:
-            start = ends[-1]
-            own = slice(start, start + len(new))
-            rows[own] = products.rows(new, without) + self._known[new] - rows[:start, new].T @ solved[:start]
-            solved[own] = np.linalg.solve(rows[own, new], rows[own])
-            blocks.eliminate(rows[own], solved[own])
-            entered.extend(new)
-            ends.append(own.stop)
-
-        columns, _ = self._filled
-        C, g = products.blocks(without)
-        C, g = C + self._known[columns[:, :, None], columns[:, None, :]], g + self._known[columns, -1]
-        blocks = Blocks(self._filled, C, g, self._costs, among)
-        squares = float(products.rows([p], without)[0, p])
-        enter(self._geometry)
-        while len(order) < (len(among) if steps is None else min(steps, len(among))):
-            best, gain = blocks.take()
-            new, terms = self._columns[best], ends[-1] - first
-            if (most is not None and terms + len(new) > most) or (
-                lasting and gain * (self._numbers - ends[-1]) <= _BY_CHANCE * squares
-            ):
-                break
-            squares -= gain * self._costs[best]
-            order.append(best)
-            enter(new)
-        # They are triangular: the solution after so many steps is the sum of as many columns of the inverse.
-        inverse = scipy.linalg.solve_triangular(
-            solved[: len(entered), entered], np.eye(len(entered)), unit_diagonal=True
-        )
-        sums = np.cumsum(inverse * -solved[: len(entered), p], axis=1)
-        values = np.zeros((1 + len(order), p))
-        values[:, entered] = sums[:, np.array(ends[1:]) - 1].T
-        return _Way(tuple(order), values)
-
-    def squares(self, fold: IntArray, values: Array) -> tuple[Array, Mapping[str, Array]]:
-        """Return mean squared whitened errors (steps, N) of rows held out, and the rms (steps,) of every quantity.
-
-        ``values`` (folds, steps, p): what every fold has found without its own rows.
-        """
-        found: list[Array] = []
-        sums: dict[str, Array] = {}
-        counts: dict[str, int] = {}
-        start = 0
-        for i, _, sigma, rows in self._rows():
-            own = fold[start : (start := start + len(rows))]
-            errors = np.empty((values.shape[1], *rows.shape[:2]))
-            for k in np.unique(own):
-                here = rows[own == k]
-                changes = here[:, :, :-1].reshape(-1, here.shape[2] - 1) @ values[k].T
-                errors[:, own == k] = changes.T.reshape(-1, *here.shape[:2]) + here[:, :, -1]
-            found.append(np.mean(errors**2, axis=2))
-            for name, _, columns in QUANTITIES[self._problem.measurements[i].kind]:
-                more = np.sum((errors[:, :, columns] * sigma[:, columns]) ** 2, axis=(1, 2))
-                sums[name] = sums.get(name, 0.0) + more
-                counts[name] = counts.get(name, 0) + len(rows)
-        return np.concatenate(found, axis=1), {name: np.sqrt(total / counts[name]) for name, total in sums.items()}

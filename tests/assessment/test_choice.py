@@ -8,7 +8,8 @@ import pytest
 
 import calib
 from calib.assessment import choice as choice_module
-from calib.assessment.choice import Candidate, candidates, choose_terms
+from calib.assessment.choice import candidates, choose_terms
+from calib.assessment.linearised import Candidate, LinearisedSystem
 from calib.assessment.validation import cross_validate
 from calib.identification.error_model import with_terms
 from calib.presentation.sheets import choice_sheet
@@ -178,13 +179,13 @@ def test_a_prior_that_is_stated_stays_in_places_apart() -> None:
 def judged_between(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Array, Array]]:
     """Poses at which choices from now on compare scatters, and what they find there."""
     found: list[tuple[Array, Array]] = []
-    scatter = choice_module._System.scatter
+    scatter = LinearisedSystem.scatter
 
-    def told(system: choice_module._System, poses: Array, whole: Array, without: Array) -> Array:
+    def told(system: LinearisedSystem, poses: Array, whole: Array, without: Array) -> Array:
         found.append((poses, scatter(system, poses, whole, without)))
         return found[-1][1]
 
-    monkeypatch.setattr(choice_module._System, "scatter", told)
+    monkeypatch.setattr(LinearisedSystem, "scatter", told)
     return found
 
 
@@ -349,7 +350,7 @@ def test_between_places_the_loops_of_the_identified_machine_close_too() -> None:
     )
     model = calib.error_model(robot(0.18), placements=["pin.tx"], tool="fixed")
     fit = calib.identify(model, data)
-    system = choice_module._System(fit, (), None, np.ones(40, dtype=bool), np.zeros(0))
+    system = LinearisedSystem(fit, (), None, np.ones(40, dtype=bool), np.zeros(0))
     names = [r.name for r in robot(0.18).readings]
     flat = np.zeros((2, len(names)))
     flat[:, names.index("crank")] = np.pi / 2 - 0.02

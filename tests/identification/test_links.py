@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.choice import Candidate, candidates, choose_terms
+from calib.assessment.choice import candidates, choose_terms
+from calib.assessment.linearised import Candidate
 from calib.compensation.commands import for_joint_targets
 from calib.compensation.controllers.ros import export_ros
 from calib.foundations.errors import JobError, MeasurementError

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.choice import Candidate, choose_terms
+from calib.assessment.choice import choose_terms
+from calib.assessment.linearised import Candidate
 from calib.compensation.commands import for_joint_targets
 from calib.identification.machine import Frames
 from calib.identification.system import Problem

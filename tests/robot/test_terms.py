@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.choice import Candidate, candidates
+from calib.assessment.choice import candidates
+from calib.assessment.linearised import Candidate
 from calib.foundations.errors import JobError, RobotError
 from calib.identification.parameters import TERM_WIDTH
 from calib.job.schema import ErrorModelSection
