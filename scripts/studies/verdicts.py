@@ -5,7 +5,7 @@
         [--out docs/verdicts.md]
 
 With --log what was judged is kept, and what is there already is not judged again; --minutes ends a part of it.
-What is called next is kept as it came out at first; again is the same after repair.
+What is called next is kept as it came out at first, from the page that is there; again is the same after repair.
 """
 
 import argparse
@@ -90,12 +90,13 @@ def sessions(args: argparse.Namespace) -> Iterator[tuple[str, int, str, str]]:
         ("next", NEXT, (NEXT_ROBOT,)),
         ("again", NEXT, (NEXT_ROBOT,)),
     ):
-        if args.only in ("", name):
+        # What came out at first cannot come out again.
+        if args.only == name or (args.only == "" and name != "next"):
             yield from ((name, seed, what, which) for what in table for which in robots for seed in range(args.seeds))
 
 
-def page(lines: Sequence[dict[str, Any]]) -> str:
-    """The page."""
+def page(lines: Sequence[dict[str, Any]], before: str) -> str:
+    """The page; of what came out at first, ``before`` has it where it was not judged now."""
     parts = [HEAD]
     good = [line for line in lines if line["set"] == "sound"]
     doubted = [line for line in good if line["word"] != "trusted"]
@@ -155,9 +156,10 @@ def page(lines: Sequence[dict[str, Any]]) -> str:
         ),
     ):
         own = [line for line in lines if line["set"] == name]
-        if not own:
-            continue
-        parts += situations(title, said, own)
+        if own:
+            parts += situations(title, said, own)
+        elif name == "next" and f"## {title}\n" in before:
+            parts.append(f"## {title}\n" + before.split(f"## {title}\n")[1].split("\n## ")[0])
     parts.append(TAIL)
     return "\n".join(parts)
 
@@ -294,7 +296,8 @@ def main() -> int:
             args.log.write_text(json.dumps(lines))
     if args.log is not None:
         args.log.write_text(json.dumps(lines))
-    args.out.write_text(page(lines), encoding="utf-8", newline="\n")
+    before = args.out.read_text(encoding="utf-8") if args.out.exists() else ""
+    args.out.write_text(page(lines, before), encoding="utf-8", newline="\n")
     return 0
 
 
