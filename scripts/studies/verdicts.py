@@ -159,7 +159,7 @@ def page(lines: Sequence[dict[str, Any]], before: str) -> str:
         if own:
             parts += situations(title, said, own)
         elif name == "next" and f"## {title}\n" in before:
-            parts.append(f"## {title}\n" + before.split(f"## {title}\n")[1].split("\n## ")[0])
+            parts.append(f"## {title}\n" + before.split(f"## {title}\n")[1].split("\n## ", maxsplit=1)[0])
     parts.append(TAIL)
     return "\n".join(parts)
 

@@ -468,12 +468,7 @@ REFUSALS: tuple[Refusal, ...] = (
         ("observes: pose", "observes: pixels", "observes: board"),
         "point",
     ),
-    Refusal(("geometry: dh",), ("tips: two", "known: on a link"), "a DH table is of one arm, not of 2 links"),
-    Refusal(
-        ("tips: two", "known: on a link"),
-        ("levels: grid", "levels: gaussian"),
-        "a residual_model is of one arm with one tip, and the job has",
-    ),
+    Refusal(("tips: two",), ("levels: grid", "levels: gaussian"), "is of one tip, and the measurements are of several"),
     Refusal(
         ("known: on a link",),
         ("observes: position", "observes: pose", "observes: pair_distance"),

@@ -50,6 +50,9 @@ BESIDE: tuple[tuple[str, ...], ...] = (
     ("solver: total differential", "geometry: offsets", "motion: late"),
     ("solver: total differential", "geometry: offsets", "tips: two"),
     ("terms: of masses", "place: loaded"),
+    ("geometry: dh", "tips: two"),
+    ("geometry: dh", "observes: socket", "known: on a link"),
+    ("levels: grid", "observes: plane", "known: on a link"),
 )
 
 
