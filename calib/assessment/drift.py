@@ -218,7 +218,9 @@ def _common_readings(old: CalibratedMachine, new: CalibratedMachine, seed: int) 
     # Where the two have no range in common, that of the new one.
     apart = (low > high)[:, None]
     limits = np.where(apart, after, np.stack([low, high], axis=1))
-    return random_readings(old.robot, _SAMPLES, limits, (old.deviations, new.deviations), seed=seed)
+    rooms = [room for room in (old.known_uncertainty.room, new.known_uncertainty.room) if room is not None]
+    room = max(rooms, key=abs) if len({room > 0.0 for room in rooms}) == 1 else None
+    return random_readings(old.robot, _SAMPLES, limits, (old.deviations, new.deviations), room=room, seed=seed)
 
 
 def _by_entry(machine: CalibratedMachine, readings: Array, count: int) -> Array:

@@ -10,7 +10,7 @@ size take the smallest whose held-out error is within one standard error of the 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -97,7 +97,7 @@ def row_groups(measurements: Sequence[Measurements], *, places: bool = False) ->
 
 @checked
 def hold_out(
-    data: Measurements, share: float = 0.25, *, places: Sequence[str] | None = None
+    data: Measurements, share: float = 0.25, *, places: Collection[str] | None = None
 ) -> tuple[Measurements, Measurements]:
     """Return the rows to identify from, and the held-out rows, which judge the fit.
 

@@ -45,6 +45,7 @@ def uncertainty(
             samples,
             tool=tool,
             limits=None if whole else machine.known_uncertainty.identified,
+            room=None if whole else machine.known_uncertainty.room,
             progress=lambda done, of: say(f"{done} of {of} poses"),
         )
     budget = rms_by_cause(found.budget)

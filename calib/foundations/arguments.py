@@ -28,7 +28,8 @@ _STANDS_FOR = {"f": "fiub", "i": "iu", "b": "b"}
 _ELEMENTS = {"f": "numbers", "i": "whole numbers", "b": "bools"}
 _PLAIN = MappingProxyType({str: "a text", bytes: "bytes", float: "a number", int: "a whole number", bool: "a bool"})
 _Test = Callable[[Any], bool]
-_SEQUENCES = (abc.Sequence, abc.Collection, abc.Iterable, list)
+_IN_ORDER = (abc.Sequence, list)
+_SEQUENCES = (*_IN_ORDER, abc.Collection, abc.Iterable)
 
 
 def checked(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -146,17 +147,17 @@ def _test_of_generic(origin: Any, inner: tuple[Any, ...]) -> _Test:
         alike, tests = len(inner) == 2 and inner[1] is Ellipsis, tuple(map(_test, inner))
 
         def of_tuple(value: Any) -> bool:
-            own = _elements(value)
+            own = None if _is_set(value) else _elements(value)
             if own is None or not (alike or len(own) == len(tests)):
                 return False
             return all(test(one) for one, test in zip(own, tests[:1] * len(own) if alike else tests, strict=True))
 
         return of_tuple
     if origin in _SEQUENCES:
-        of_one = _test(inner[0])
+        of_one, in_order = _test(inner[0]), origin in _IN_ORDER
 
         def of_sequence(value: Any) -> bool:
-            own = _elements(value)
+            own = None if in_order and _is_set(value) else _elements(value)
             return own is not None and all(map(of_one, own))
 
         return of_sequence
@@ -171,6 +172,11 @@ def _elements(value: Any) -> list[Any] | None:
         return list(value)
     except (TypeError, NotImplementedError):  # an array without dimensions, a view of memory with several
         return None
+
+
+def _is_set(value: object) -> bool:
+    """Tell whether a value has no order of its own: a set of texts has another one in every process."""
+    return isinstance(value, set | frozenset)
 
 
 def _is_array_like(hint: Any) -> bool:

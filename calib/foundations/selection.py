@@ -1,13 +1,13 @@
 """Names that a user chooses: "all", "none", or names and globs of what there is."""
 
 import fnmatch
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Literal, cast
 
 from calib.foundations.errors import JobError
 from calib.foundations.words import near
 
-Selection = Literal["all", "none"] | Sequence[str]
+Selection = Literal["all", "none"] | Collection[str]
 
 
 def select(selection: object, names: Sequence[str], what: str, *words: str) -> list[str]:

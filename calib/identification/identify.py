@@ -1,7 +1,7 @@
 """Identification: measurements in, parameters with their doubts out."""
 
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, get_args
 
@@ -48,7 +48,7 @@ def identify(
     model: ErrorModel,
     measurements: Measurements | Sequence[Measurements],
     *,
-    free: Sequence[str] | None = None,
+    free: Collection[str] | None = None,
     start: Fit | None = None,
     null_space: NullSpacePolicy = "nearest",
     model_sigmas: Sequence[float | None] | None = None,
@@ -121,7 +121,7 @@ def identify_near(
 def _identify(
     model: ErrorModel,
     measurements: Measurements | Sequence[Measurements],
-    free: Sequence[str] | None,
+    free: Collection[str] | None,
     begin: Fit | None,
     null_space: NullSpacePolicy,
     model_sigmas: Sequence[float | None] | None,
@@ -312,7 +312,7 @@ def _with_anchors(problem: Problem, found: Solution, variances: Sequence[float |
 
 
 def matching(
-    parameters: tuple[Parameter, ...], free: Sequence[str] | None, where: str = "free"
+    parameters: tuple[Parameter, ...], free: Collection[str] | None, where: str = "free"
 ) -> tuple[Parameter, ...]:
     """Return the parameters that some name or glob matches; raises JobError, with ``where``, for one that matches none.
 

@@ -123,6 +123,13 @@ class Closure:
         found[left] = ~self._open(q[left], _rows_of(still, left))
         return found
 
+    def rooms(self, q: Array) -> Array:
+        """Return how far (N,) closed positions q (N, nj) are from a dead centre; its two sides differ in sign.
+
+        It is the determinant of the closure, to be compared with itself alone: a dead centre has none.
+        """
+        return np.asarray(np.linalg.det(self._gaps(q, self._still(q))[1]))
+
     def _still(self, q: Array) -> list[list[_Frames]]:
         """Return, for both sides of every ring, the frames (N) behind the joints before the first passive one."""
         return [[self._walk(side, slice(side.still), q)[-1] for side in ring.sides] for ring in self._rings]

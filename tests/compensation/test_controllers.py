@@ -17,6 +17,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.grid import SectorGrid
 from calib.robot import dh
 from calib.robot.conditions import Conditions
+from calib.robot.gravity import Load, Payload
 from calib.robot.terms import JointTerm
 from tests.support import machines
 from tests.support.machines import Array
@@ -222,6 +223,21 @@ def test_yaml_for_ros_has_what_the_calibrated_urdf_lacks() -> None:
     assert np.abs(bare.tips(moved) - machine.tips(readings, conditions)).max() < 1e-12
     assert [part.part for part in found.left_out] == ["placements"]
     assert found.left_out[0].cost == pytest.approx(found.lost, rel=1e-9)
+
+
+def test_yaml_for_ros_has_the_base_and_the_load_of_every_set_up() -> None:
+    one = model(machines.load(machines.INLINE["skew"], "tip"))
+    assert "setups" not in yaml.safe_load(export_ros(one).text)["calibration"]
+    hung = Load(gravity=(0.0, 0.0, 9.81), payload=Payload(2.5, (0.0, 0.1, 0.2)))
+    base = machines.pose((1.0, -2.0, 0.5), (0.1, 0.2, 3.0))
+    robot = replace(one.robot, loads={"ceiling": hung})
+    read = yaml.safe_load(export_ros(replace(one, robot=robot, others={"ceiling": base})).text)["calibration"]
+    first, other = read["setups"]
+    assert first == {"name": one.setup, **read["base"], "gravity": read["gravity"]}
+    assert (other["name"], other["xyz"], other["gravity"]) == ("ceiling", [1.0, -2.0, 0.5], [0.0, 0.0, 9.81])
+    assert np.abs(machines.Rotation.from_quat(other["quaternion"]).as_matrix() - base[:3, :3]).max() < 1e-14
+    assert other["payload"] == {"mass": 2.5, "position": [0.0, 0.1, 0.2], "link": "tip"}
+    assert "payload" not in first
 
 
 def test_what_is_left_out_is_told_with_its_cost() -> None:

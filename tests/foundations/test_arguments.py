@@ -1,7 +1,7 @@
 """What public functions are given, held against their annotations: of another kind, it is one sentence."""
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -33,6 +33,7 @@ def takes(
     rows: IntArray | BoolArray | None = None,
     numbers: npt.ArrayLike | None = None,
     progress: Callable[[int], None] = lambda _: None,
+    some: Collection[str] = (),
     anything: Any = None,
 ) -> None:
     """Take one of every kind."""
@@ -53,6 +54,8 @@ def takes(
         {"names": ("a",)},
         {"names": np.array(["a", "b"])},
         {"names": pd.Series(["a"])},
+        {"names": {"a": 1}.keys()},  # in the order of the mapping
+        {"some": {"a", "b"}},
         {"amounts": {"a": 1.0, "b": None}},
         {"point": [1, 2.0]},
         {"point": np.zeros(2)},
@@ -85,6 +88,9 @@ def test_what_fits_is_taken(given: dict[str, Any]) -> None:
         ({"names": None}, 'names is None; needs "all" or a list of texts.'),
         ({"names": ["a", None]}, "names is ['a', None]; needs \"all\" or a list of texts."),
         ({"names": memoryview(np.zeros((2, 2)))}, 'names is a memoryview; needs "all" or a list of texts.'),
+        ({"names": {"a"}}, 'names is a set; needs "all" or a list of texts.'),
+        ({"names": frozenset({"a"})}, 'names is a frozenset; needs "all" or a list of texts.'),
+        ({"point": {1.0, 2.0}}, "point is a set; needs 2 numbers."),
         ({"names": {"a": 1}}, 'names is a dict; needs "all" or a list of texts.'),
         ({"amounts": {"a": "x"}}, "amounts is a dict; needs a mapping of texts to numbers or None, or None."),
         ({"amounts": {1: 1.0}}, "amounts is a dict; needs a mapping of texts to numbers or None, or None."),

@@ -1,6 +1,7 @@
 """A job that climbs in levels, on the shipped IRB2400: what each level brings, and what is kept of it."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.compensation.controllers.export import judged_readings
 from calib.foundations.errors import JobError, MeasurementError
 from calib.job.inputs import load
 from calib.job.run import run
@@ -27,6 +29,29 @@ def out(outcome: Calibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("levels") / "out"
     write_results(outcome, folder)
     return folder
+
+
+def test_the_machine_is_judged_where_its_parallelogram_was_as_open_as_when_it_was_measured(out: Path) -> None:
+    # The corners of the box of its readings fold the parallelogram flat: there a tenth of a millimetre in a link moves
+    # the tip by centimetres, and its URDF seemed to be worse than the nominal one.
+    model = calib.load_machine(out)
+    found, readings = calib.commands.export_xacro(model), judged_readings(model)
+    assert np.degrees(np.abs(readings[:, 2] - readings[:, 1])).max() < 64.0
+    assert found.lost < 0.5 * found.before < 0.5e-3
+    known = model.known_uncertainty
+    for room, sure in ((known.room, True), (None, False)):
+        spread = calib.judging.uncertainty_map(model, 300, limits=known.identified, room=room)
+        assert bool(spread.sigmas[:, 0].max() < 0.2e-3) is sure
+
+
+def test_results_that_do_not_tell_how_open_it_was_are_read_as_before(out: Path, tmp_path: Path) -> None:
+    older = shutil.copytree(out, tmp_path / "out")
+    contents = json.loads((older / "uncertainty.json").read_text())
+    assert contents.pop("room") > 0.0
+    (older / "uncertainty.json").write_text(json.dumps(contents))
+    model = calib.load_machine(older)
+    assert model.known_uncertainty.room is None
+    assert np.degrees(np.ptp(judged_readings(model)[:, 1:3], axis=1)).max() > 90.0
 
 
 def test_every_level_is_better_than_the_one_before(outcome: Calibration) -> None:

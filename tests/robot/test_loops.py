@@ -18,12 +18,14 @@ from calib.machine.urdf import calibrated_urdf
 from calib.robot.load import load_robot, with_document
 from calib.robot.loops import at_dead_centre
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot, TipModel
-from calib.robot.sampling import closing, random_readings
+from calib.robot.sampling import closing, least_room, random_readings
 from calib.robot.urdf import parse_urdf
 from tests.support import jacobians, machines
 from tests.support.loops import four_bar_urdf, mimic, tree
 
 Array = np.ndarray
+
+CASE = Path(__file__).resolve().parents[2] / "robots" / "irb2400"
 
 
 def load(text: str, tip: str, *loops: ClosedLoop, couplings: Sequence[Coupling] = ()) -> Robot:
@@ -496,6 +498,26 @@ def test_random_poses_are_looked_at_only_while_some_are_lacking(monkeypatch: pyt
     assert counted.rows - first < 1.7 * first
     # Rows that are closed, or at a dead centre, are not moved any more.
     assert first < 30 * len(drawn) * np.mean(~there) + 8 * len(drawn)
+
+
+def test_how_near_a_parallelogram_is_to_folding_flat_is_the_sine_between_its_links() -> None:
+    plain = load_robot(CASE / "irb2400.urdf", tip="tool0")
+    loop = ClosedLoop("parallelogram", ("rod_end", "rear_lever_pin"), ("x", "z"), ("elbow", "rod"))
+    robot = load_robot(CASE / "irb2400.urdf", tip="tool0", loops=[loop])
+    nominal, readings = robot.no_deviations(), np.zeros((3, 6))
+    # Lower arm and crank are at right angles where axes 2 and 3 are alike.
+    readings[:, 1:3] = np.radians([[0.0, 0.0], [20.0, -40.0], [-70.0, 30.0]])
+    open_, near, beyond = (least_room(robot, nominal, row[None]) for row in readings)
+    assert open_ is not None
+    assert near == pytest.approx(open_ * np.cos(np.radians(60.0)))
+    assert beyond == pytest.approx(open_ * np.cos(np.radians(100.0)))
+    assert least_room(robot, nominal, readings[:2]) == near
+    assert least_room(robot, nominal, readings) is None
+    assert least_room(plain, plain.no_deviations(), readings) is None
+    drawn = random_readings(robot, 500, room=near)
+    apart = np.degrees(np.abs(drawn[:, 2] - drawn[:, 1]))
+    assert 50.0 < apart.max() < 64.0
+    assert np.degrees(np.ptp(random_readings(robot, 500)[:, 1:3], axis=1)).max() > 120.0
 
 
 def test_how_the_tip_follows_readings_is_known_with_its_motion() -> None:

@@ -63,9 +63,9 @@ class Export:
 
 def judged_readings(model: CalibratedMachine) -> Array:
     """Return random readings (500, nr) of the identified range, always the same, at which exports are judged."""
-    limits = None if model.uncertainty is None else model.uncertainty.identified
+    limits, room = (None, None) if (known := model.uncertainty) is None else (known.identified, known.room)
     plain = replace(model.deviations, terms=np.zeros_like(model.deviations.terms))
-    return random_readings(model.robot, _POSES, limits, (None, plain))
+    return random_readings(model.robot, _POSES, limits, (None, plain), room=room)
 
 
 def whole_positions(model: CalibratedMachine, readings: Array) -> Array:

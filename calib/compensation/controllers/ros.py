@@ -12,7 +12,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.machine.calibrated import CalibratedMachine
 from calib.robot.conditions import ordinary
 from calib.robot.joint_terms import with_joint_terms
-from calib.robot.robot import Deviations
+from calib.robot.robot import Deviations, Robot
 from calib.robot.terms import JointTerm, kind_of
 
 _COMMENTS = """\
@@ -28,8 +28,10 @@ def export_ros(model: CalibratedMachine) -> Export:
     """Return YAML: joints with offsets, joint terms (kind, order, coefficient, unit), base and tool frames.
 
     ``calibration.joints``: names of the moving joints and offsets in rad or m; ``base``: the base link in the
-    instrument's frame; ``tools``: in the tip link; ``terms``: as docs/joint_terms.md has them. Placements are not in
-    it: they are in the calibrated URDF. ``lost`` is that of the nominal URDF with this file alone.
+    instrument's frame; ``tools``: in the tip link; ``terms``: as docs/joint_terms.md has them; ``gravity`` and
+    ``payload``, where one is carried: what bears on the arm. ``setups``, where there are several: base, gravity and
+    payload of each. Placements are not in it: they are in the calibrated URDF. ``lost`` is that of the nominal URDF
+    with this file alone.
     """
     robot, d = model.robot, model.deviations
     moving = [robot.chain[i] for i in robot.moving]
@@ -45,7 +47,6 @@ def export_ros(model: CalibratedMachine) -> Export:
         }
         for term, coefficient in zip(robot.terms, d.terms, strict=True)
     ]
-    x, y, z = map(float, robot.load.gravity)
     contents: dict[str, Node] = {
         "schema": 1,
         "base_link": robot.base,
@@ -57,8 +58,13 @@ def export_ros(model: CalibratedMachine) -> Export:
         "base": _frame(model.base),
         "tools": [{"name": name, **_frame(tool)} for name, tool in model.tools.items()],
         "terms": terms,
-        "gravity": [x, y, z],
+        **_load(robot, model.setup),
     }
+    if model.others:
+        # Base, gravity and payload above are those of the first.
+        contents["setups"] = [
+            {"name": name, **_frame(base), **_load(robot, name)} for name, base in model.bases.items()
+        ]
     own = replace(d, placements=np.zeros_like(d.placements))
     alone = model.in_urdf is None
     comments = _COMMENTS.format(document="calibrated.urdf" if alone else "model.urdf") + ("" if alone else _WITH_TERMS)
@@ -77,6 +83,16 @@ def export_ros(model: CalibratedMachine) -> Export:
     readings = judged_readings(model)
     expected = robot.tips(readings, own, ordinary(readings))
     return judged_export(model, text, read_back, expected, frozenset({"joint terms"}))
+
+
+def _load(robot: Robot, setup: str) -> dict[str, Node]:
+    load = robot.load_in(setup)
+    found: dict[str, Node] = {"gravity": list(map(float, load.gravity))}
+    if (carried := load.payload) is not None:
+        position = list(map(float, carried.position))
+        link = carried.link or (robot.links or (robot.tip,))[0]
+        found["payload"] = {"mass": float(carried.mass), "position": position, "link": link}
+    return found
 
 
 def _frame(T: Array) -> dict[str, Node]:
