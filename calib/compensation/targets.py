@@ -100,9 +100,12 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool") -> Targe
             poses = read_only(rigid.placement(orientations(table), poses))
     for n, name in enumerate(tools):
         if name not in model.tools:
+            line, say = (
+                (f":{table.lines[n]}", "") if "tool" in columns else ("", "; name one, or write a column 'tool'")
+            )
             raise MeasurementError(
-                f"{where}:{table.lines[n]}: there is no tool {name!r}; the calibrated tools are "
-                f"{', '.join(map(repr, model.tools))}."
+                f"{where}{line}: there is no tool {name!r}; the calibrated tools are "
+                f"{', '.join(map(repr, model.tools))}{say}."
             )
     told = conditions(table, model.robot.readings)
     if unsaid := lacking(model.robot.terms, list(joints), told):

@@ -610,13 +610,20 @@ def test_tables_that_cannot_be_used(change: dict[str, Any], said: str) -> None:
     assert said in str(caught.value)
 
 
+def test_a_tool_that_no_column_names_is_asked_for() -> None:
+    model = model_of(robot_of("ur10"))
+    table = table_from_arrays(panel(model, np.zeros((1, 6))))
+    with pytest.raises(MeasurementError, match=r"arrays: there is no tool 'no'; .* name one, or write a column 'tool'"):
+        targets.targets(table, model, "no")
+
+
 def test_nothing_can_be_reached() -> None:
     model = model_of(robot_of("ur10"))
     wanted = targets.targets(table_from_arrays({"x [m]": [9.0, 8.0], "y [m]": [0.0, 0.0], "z [m]": [0.0, 0.0]}), model)
-    with pytest.raises(
-        MeasurementError, match=r"arrays: none of the 2 targets can be reached; that of line 0: is 9 m from the base"
-    ):
-        targets.corrections(model, wanted)
+    said = r"arrays: none of the 2 targets can be reached; that of line 0: is 9.* m from the base.*"
+    for frame, other in (("base", "instrument"), ("instrument", "base")):
+        with pytest.raises(MeasurementError, match=rf"{said} in the frame of the {frame}; --frame {other} takes"):
+            targets.corrections(model, wanted, frame=frame)
 
 
 def test_an_arm_of_few_joints_is_asked_for_positions() -> None:
