@@ -57,6 +57,12 @@ def main() -> None:
     except CalibError as error:
         _say(str(error))
         sys.exit(BAD_INPUT)
+    except (MemoryError, ImportError) as error:
+        # A library for which there is no room cannot be loaded.
+        if isinstance(error, ImportError) and "failed to map segment" not in str(error):
+            raise
+        sys.stderr.write("Error: The memory that this process may use does not suffice; see ulimit -v.\n")
+        sys.exit(BAD_INPUT)
     except OSError as error:
         # Of --help and --version, which are written by others.
         if error.errno not in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT) or error.filename is not None:

@@ -38,8 +38,9 @@ def fleet(
         from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
     chosen = fleet_jobs(jobs, out)
     if dask is not None:
-        # Of a lost scheduler it tells by tracebacks, and a sentence follows.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        # Of a lost scheduler, and of Ctrl-C while it waits, it tells by tracebacks, and a sentence follows.
+        for name in ("distributed", "tornado.application"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         with made_folder(out):
             with telling.progress(len(chosen), alike=True) as say:

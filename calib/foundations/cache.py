@@ -7,6 +7,7 @@ somebody else has put there, counts for nothing. That an entry cannot be kept is
 import contextlib
 import os
 import re
+import stat
 import sys
 from pathlib import Path
 
@@ -58,11 +59,16 @@ def keep(key: str, data: bytes) -> None:
     with contextlib.suppress(OutputError, OSError, ValueError):
         where.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_atomically(where / f"{key}{_ENDING}", _signed(key, data) + data)
-        # Whoever names a folder may have files in it that end alike.
-        entries = [path for path in where.iterdir() if _ENTRY.fullmatch(path.name)]
-        if len(entries) > _MOST:
-            for old in sorted(entries, key=lambda path: path.stat().st_mtime)[: len(entries) - _MOST]:
-                old.unlink()
+        _tidy(where)
+
+
+def _tidy(where: Path) -> None:
+    """Remove the oldest entries. Others may do so too, and a folder that somebody has named may hold anything else."""
+    found = [(path.lstat(), path) for path in where.iterdir() if _ENTRY.fullmatch(path.name)]
+    entries = sorted((about.st_mtime_ns, path) for about, path in found if stat.S_ISREG(about.st_mode))
+    for _, old in entries[: max(len(entries) - _MOST, 0)]:
+        with contextlib.suppress(OSError):
+            old.unlink()
 
 
 def _signed(key: str, data: bytes) -> bytes:

@@ -1,6 +1,7 @@
 """Linear algebra that more than one room needs."""
 
 import functools
+import mmap
 import sys
 from contextlib import AbstractContextManager
 from importlib import import_module
@@ -11,11 +12,15 @@ import scipy
 from threadpoolctl import ThreadpoolController
 
 from calib.foundations.arrays import Array
+from calib.foundations.errors import CalibError
 
 # A condition estimated in sums of columns is off by at most the number of columns, and by little else.
 _SURELY = 100.0
 # Fewer columns are reduced as they are; so many are reduced at once.
 _MANY, _TOGETHER = 100, 32
+# The memory that a library of linear algebra sets aside when it first needs it, in bytes, and a little more: OpenBLAS
+# takes 2^25.
+_SET_ASIDE = 35_000_000
 
 
 def triangle(M: Array) -> Array:
@@ -66,7 +71,8 @@ def one_thread(*, of_scipy: bool = True) -> AbstractContextManager[object]:
     """Return a context in which linear algebra runs in one thread.
 
     Our matrices are small: a second thread gains nothing, and waits a hundred times longer where a core is shared.
-    ``of_scipy``: that of SciPy, too, which is loaded for it. False where the block calls NumPy alone.
+    ``of_scipy``: that of SciPy, too, which is loaded for it. False where the block calls NumPy alone. Raises CalibError
+    where there is no memory for it.
     """
     if of_scipy:
         import_module("scipy.linalg")  # which has threads of its own
@@ -75,6 +81,21 @@ def one_thread(*, of_scipy: bool = True) -> AbstractContextManager[object]:
 
 
 @functools.cache
-def _libraries(_of_scipy: bool) -> ThreadpoolController:
-    """Return NumPy's and SciPy's, found once: to look through all that is loaded takes as long as half a fit."""
+def _libraries(of_scipy: bool) -> ThreadpoolController:
+    """Return NumPy's and SciPy's, found once: to look through all that is loaded takes as long as half a fit.
+
+    Each sets aside its memory here, while there is some: OpenBLAS tries again without end where it gets none later.
+    """
+    _refuse_little_memory()
+    np.linalg.solve(np.eye(1), np.ones(1))
+    if of_scipy:
+        _refuse_little_memory()
+        scipy.linalg.lapack.dgesv(np.eye(1), np.ones(1))
     return ThreadpoolController()
+
+
+def _refuse_little_memory() -> None:
+    try:
+        mmap.mmap(-1, _SET_ASIDE).close()
+    except OSError as e:
+        raise CalibError("The memory that this process may use does not suffice; see ulimit -v.") from e

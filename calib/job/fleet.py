@@ -1,5 +1,6 @@
 """Many jobs over many processes, here or on a Dask cluster: each as if it ran alone, and none in the way of another."""
 
+import asyncio
 import os
 import re
 import signal
@@ -258,14 +259,24 @@ def _cluster(address: str, jobs: Sequence[FleetJob]) -> Iterator[Iterable[Done]]
     """Run jobs over the workers of a Dask cluster, as :func:`_local`."""
     try:
         from distributed import Client  # noqa: PLC0415 - an optional dependency
+        from distributed.utils import LoopRunner  # noqa: PLC0415 - an optional dependency
     except ImportError as e:
         raise JobError("--dask: needs a package that is not installed: pip install 'urdf-calib[dask]'.") from e
     try:
+        LoopRunner(asynchronous=False).run_sync(_greeted, address)
         client = Client(address, timeout=_PATIENCE, set_as_default=False)
-    except (OSError, ValueError) as e:
+    except Exception as e:  # every protocol of Dask's has exceptions of its own for what is no scheduler
         raise JobError(f"{address}: no Dask scheduler answers there, as at tcp://host:8786.") from e
     with client, closing(_on_cluster(client, address, jobs)) as finished:
         yield finished
+
+
+async def _greeted(address: str) -> None:
+    """Return when something at an address has greeted as Dask does. A client waits for that without end."""
+    from distributed.comm import connect  # noqa: PLC0415 - an optional dependency
+
+    greeted = await asyncio.wait_for(connect(address, timeout=_PATIENCE), _PATIENCE)
+    greeted.abort()
 
 
 def _on_cluster(client: Any, address: str, jobs: Sequence[FleetJob]) -> Generator[Done, None, None]:
@@ -289,12 +300,20 @@ def _on_cluster(client: Any, address: str, jobs: Sequence[FleetJob]) -> Generato
                 yield _ended(future, waiting.pop(future), address)
             if client.status != "running":
                 raise JobError(f"{address}: the Dask scheduler is gone; what is finished is kept.")
-            if client.scheduler_info()["workers"]:
+            if _has_workers(client, address):
                 last_seen = time.monotonic()
             elif time.monotonic() - last_seen > _PATIENCE:
                 raise JobError(f"{address}: the Dask cluster has no worker.")
     finally:
         client.cancel(list(waiting))
+
+
+def _has_workers(client: Any, address: str) -> bool:
+    """Return whether a cluster has workers. A scheduler that is stopped keeps its connection and answers nothing."""
+    try:
+        return bool(client.sync(client.scheduler.identity, callback_timeout=_PATIENCE)["workers"])
+    except OSError as e:  # also what times out
+        raise JobError(f"{address}: the Dask scheduler is gone; what is finished is kept.") from e
 
 
 def _ended(future: Any, job: FleetJob, address: str) -> Done:

@@ -85,3 +85,14 @@ def test_files_of_others_in_the_folder_stay(place: Path, monkeypatch: pytest.Mon
         cache.keep(f"{n:064x}", b"")
     assert {path.name for path in place.iterdir()}.issuperset(others)
     assert len(list(place.iterdir())) == len(others) + 1
+
+
+def test_what_is_called_as_an_entry_and_is_none_stops_no_tidying(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "_MOST", 1)
+    (place / f"{1:064x}.calib").mkdir(parents=True)
+    (place / f"{2:064x}.calib").symlink_to("nowhere")
+    os.utime(place / f"{1:064x}.calib", (0, 0))
+    for n in (3, 4, 5):
+        cache.keep(f"{n:064x}", b"")
+    assert [path.name for path in place.iterdir() if path.is_file()] == [f"{5:064x}.calib"]
+    assert (place / f"{1:064x}.calib").is_dir() and (place / f"{2:064x}.calib").is_symlink()

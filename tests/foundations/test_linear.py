@@ -1,9 +1,14 @@
 """Triangles and their inverses; a singular value decomposition ends, also where NumPy's does not converge."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
-from calib.foundations.linear import inverse_triangle, svd, triangle
+from calib.foundations import linear
+from calib.foundations.errors import CalibError
+from calib.foundations.linear import inverse_triangle, one_thread, svd, triangle
 
 
 @pytest.mark.parametrize("shape", [(7, 4), (4, 7), (3, 7, 4), (2, 3, 4, 4)])
@@ -48,3 +53,32 @@ def test_the_inverse_of_a_triangle_solves_unless_it_is_nearly_singular() -> None
     assert inverse_triangle(rows[:5], 1e-14) is None
     rows[3, 3] = 0.0
     assert inverse_triangle(rows, 1e-14) is None
+
+
+def test_too_little_memory_is_said_before_a_library_waits_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(linear, "_SET_ASIDE", 1 << 60)
+    linear._libraries.cache_clear()
+    for of_scipy in (True, False):
+        with pytest.raises(CalibError, match="memory that this process may use does not suffice"):
+            one_thread(of_scipy=of_scipy)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads how large this process is")
+def test_libraries_set_their_memory_aside_when_it_is_looked_for() -> None:
+    """OpenBLAS, which is refused it later, tries again without end."""
+    said = """
+import numpy as np, scipy.linalg
+from pathlib import Path
+from calib.foundations.linear import one_thread
+
+def size():
+    return int(Path("/proc/self/statm").read_text().split()[0]) * 4096
+
+with one_thread():
+    before = size()
+    np.linalg.solve(np.eye(3), np.ones(3))
+    scipy.linalg.lapack.dtrcon(np.eye(3))
+    print(size() - before)
+"""
+    found = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
+    assert int(found.stdout) < 2**24

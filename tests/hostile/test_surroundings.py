@@ -31,3 +31,23 @@ def test_a_folder_that_is_gone_is_one_sentence(tmp_path: Path) -> None:
     said = subprocess.run([sys.executable, "-c", start, "--help"], capture_output=True, text=True, check=False)
     assert said.returncode == 1
     assert said.stderr == "Error: the folder in which calib was started is not there any more.\n"
+
+
+@pytest.mark.parametrize(
+    "met", ["MemoryError()", "ImportError('lapack.so: failed to map segment from shared object', name='lapack')"]
+)
+def test_too_little_memory_is_one_sentence(met: str, tmp_path: Path) -> None:
+    fails = f"import calib.robot.load as load\ndef fails(*_, **__): raise {met}\nload.load_robot = fails\n"
+    said = subprocess.run(
+        [sys.executable, "-c", fails + _CALIB, "plan", "none.urdf", "-o", "poses.csv"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert (said.returncode, said.stdout, said.stderr) == (
+        1,
+        "",
+        "Error: The memory that this process may use does not suffice; see ulimit -v.\n",
+    )
+    assert not list(tmp_path.iterdir())

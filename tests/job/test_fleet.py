@@ -13,6 +13,7 @@ import sys
 import time
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
+from typing import Any
 
 import joblib
 import psutil
@@ -392,13 +393,43 @@ def test_a_scheduler_that_dies_in_the_middle_is_said(folder: Path) -> None:
     assert sum(map(unchanged, chosen)) >= 1
 
 
+def test_a_scheduler_that_is_stopped_is_not_waited_for(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its connection stays, as the system holds it, and nothing answers."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(fleets, "_PATIENCE", 2.0)
+    chosen = fleet_jobs([Path("jobs/plain.toml"), Path("jobs/fewer.toml")], Path("all"))
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    told = ["distributed.cli.dask_scheduler", "--host", address, "--no-dashboard"]
+    scheduler = subprocess.Popen([sys.executable, "-m", *told], **quiet)  # type: ignore[call-overload]
+    try:
+        distributed.Client(address, timeout=60, set_as_default=False).close()  # it is there
+        submit = distributed.Client.submit
+
+        def stopping(*given: Any, **more: Any) -> Any:
+            scheduler.send_signal(signal.SIGSTOP)
+            return submit(*given, **more)
+
+        monkeypatch.setattr(distributed.Client, "submit", stopping)
+        with pytest.raises(JobError, match="the Dask scheduler is gone; what is finished is kept"):
+            run_fleet(chosen, dask=address)
+    finally:
+        scheduler.send_signal(signal.SIGCONT)
+        scheduler.kill()
+        scheduler.wait()
+
+
 def test_no_cluster(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(fleets, "_PATIENCE", 1)
     chosen = fleet_jobs([Path("jobs/plain.toml")], Path("all"))
-    for address in ("tcp://127.0.0.1:1", "nonsense://x"):
+    for address in ("tcp://127.0.0.1:1", "nonsense://x", "tls://127.0.0.1:1"):  # TLS without certificates
         with pytest.raises(JobError, match="no Dask scheduler answers there"):
             run_fleet(chosen, dask=address)
+    with socket.create_server(("127.0.0.1", 0)) as silent, pytest.raises(JobError, match="no Dask scheduler answers"):
+        run_fleet(chosen, dask=f"tcp://127.0.0.1:{silent.getsockname()[1]}")  # some program that waits to be asked
     with distributed.LocalCluster(n_workers=0, host="127.0.0.1", **QUIET) as cluster:
         with pytest.raises(JobError) as caught:
             run_fleet(chosen, dask=cluster.scheduler_address)
