@@ -170,6 +170,22 @@ def _long_arm(folder: Path, size: int) -> None:
     _edited(folder / "calibration.toml", 'tip = "probe"', f'tip = "l{n}"')
 
 
+def _fork(folder: Path, size: int) -> None:
+    """Write a long arm that ends in very many fingers, and a table that names as many joints as a table may."""
+    joint = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{0}"/><axis xyz="0 {2} 1"/></joint>'
+    long, many = 199, min(790, max(2, size // 200 - 199))
+    names = [*(f"f{k}" for k in range(long)), *(f"finger_x{k}" for k in range(many))]
+    parents = ["base", *names[: long - 1], *[names[long - 1]] * many]
+    links = "".join(f'<link name="{name}"/>' for name in ("base", *names))
+    joints = "".join(
+        joint.format(name, parent, k % 2) for k, (name, parent) in enumerate(zip(names, parents, strict=False))
+    )
+    (folder / "fork.urdf").write_text(f'<robot name="r">{links}{joints}</robot>', encoding="utf-8")
+    rng = np.random.default_rng(0)
+    rows = rng.uniform(-1.0, 1.0, (max(9, size // (5 * len(names))), len(names) + 3))
+    _table(folder / "fork.csv", ",".join([*(f"{name} [rad]" for name in names), "x [m]", "y [m]", "z [m]"]), rows, 1)
+
+
 # Of meshes. ------------------------------------------------------------------------------------------------------
 
 
@@ -1156,6 +1172,7 @@ HOSTILE: dict[str, Hostile] = {
         )
     ),
     "a long arm": Hostile(_long_arm),
+    "a fork of fingers": Hostile(_fork, ("check", "fork.urdf", "fork.csv")),
     "collision shapes": Hostile(
         _urdf(_collisions, "</link>").write,
         ("plan", "calibration.toml", "-o", "plan.csv", "--candidates", "50", "-n", "20"),
