@@ -706,6 +706,13 @@ def _positions(folder: Path, size: int) -> None:
     (folder / "targets.csv").write_text("x [mm],y [mm],z [mm]\n" + rows, encoding="utf-8")
 
 
+def _positions_of_a_loop(folder: Path, size: int) -> None:
+    """Write positions, and results of an arm with a loop in the place of the shipped ones."""
+    _positions(folder, size)
+    shutil.rmtree(folder / _RESULTS)
+    shutil.copytree(_results("irb2400"), folder / _RESULTS)
+
+
 def _poses(folder: Path, size: int) -> None:
     """Write poses that the arm can hardly reach: of one orientation, about the end of its links."""
     (folder / "targets.csv").write_text(
@@ -1281,6 +1288,7 @@ HOSTILE: dict[str, Hostile] = {
     ),
     "joint targets": Hostile(_targets, _COMPENSATE),
     "positions": Hostile(_positions, _COMPENSATE),
+    "positions of a loop": Hostile(_positions_of_a_loop, _COMPENSATE),
     "poses hardly in reach": Hostile(_poses, _COMPENSATE),
     "positions out of reach": Hostile(_far_positions, _COMPENSATE),
     "tools of a model": _model("tools", lambda _: _POSE, _COMPENSATE),
@@ -1311,10 +1319,15 @@ def fill(name: str, folder: Path, size: int) -> tuple[str, ...]:
     return hostile.run
 
 
-def _results() -> Path:
-    folder = Path(tempfile.gettempdir()) / f"calib-hostile-{os.getpid()}"
+def _made() -> Path:
+    return Path(tempfile.gettempdir()) / f"calib-hostile-{os.getpid()}"
+
+
+def _results(case: str = "arm_cmm") -> Path:
+    folder = _made() / case
     if not folder.exists():
-        done = measure(("calibrate", str(CASE / "calibration.toml"), "-o", str(folder)), ROOT)
+        folder.parent.mkdir(exist_ok=True)
+        done = measure(("calibrate", str(ROOT / "robots" / case / "calibration.toml"), "-o", str(folder)), ROOT)
         assert done.code == 0, done.said
     return folder
 
@@ -1368,7 +1381,7 @@ def main() -> int:
                 f" {took.code:3} {took.said[:110]}",
                 flush=True,
             )
-    shutil.rmtree(Path(tempfile.gettempdir()) / f"calib-hostile-{os.getpid()}", ignore_errors=True)
+    shutil.rmtree(_made(), ignore_errors=True)
     return int(bad > 0)
 
 
