@@ -6,7 +6,7 @@ from typing import cast
 import numpy as np
 
 from calib.compensation.corrections import Corrections, better
-from calib.compensation.inverse import Asked, Effort, How, cut_short, limits, rowwise, solve
+from calib.compensation.inverse import Asked, Effort, How, cut_short, limits, price, rowwise, solve
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
@@ -101,7 +101,7 @@ def for_poses(
         return solve(model, Asked(poses, tools, start, ("",) * n, conditions), how)
     found: Corrections | None = None
     refused = _out_of_reach(model, poses, tools)
-    effort = Effort(n)
+    effort = Effort(n, price(model, how.residuals))
     for row in _starting_places(model):
         left = np.arange(n) if found is None else np.flatnonzero(~found.reached & [not text for text in refused])
         if found is not None and not len(left):

@@ -32,8 +32,12 @@ _ALIKE = 1e-12
 # Least eigenvalue of J J^T, as a share of their sum, for which an inverse by it has ten digits.
 _SOUND = 1e-5
 # How often the machine may be looked at for N targets: a row of positions without a start needs some twenty looks, of a
-# few microseconds each; one that cannot be reached, several hundreds.
-_LOOKS, _LOOKS_PER_ROW = 500_000, 24
+# few microseconds each; one that cannot be reached, several hundreds. With readings to start from, half a dozen.
+_LOOKS, _LOOKS_PER_ROW, _LOOKS_FROM_READINGS = 500_000, 24, 12
+# What these cost is bounded where a look costs more: so many looks at an arm without loops.
+_MOST_SPENT = 2_500_000
+# What a look costs, in looks at an arm without loops: more for every loop, and for so many rows of a Gaussian process.
+_OF_A_LOOP, _ROWS_OF_ONE = 6.0, 130.0
 # And where fewer than half of those tried so far are reached: of some thousand targets it is more than they may take.
 _LOOKS_OF_HOPELESS = 800_000
 # Newton doubles the digits: where a thousandth of the tolerance is reached, the rest is rounding.
@@ -94,15 +98,20 @@ class Effort:
     """Counts how often the machine is looked at for N targets, so that what cannot be reached ends in time.
 
     ``left`` is what the rows of now may still take; ``reserve`` keeps their share for others that come after them.
+    ``price``: what a look costs, in looks at an arm without loops. With readings ``to_start`` from every target has
+    what it needs; without them, where a look costs more, the first targets have it.
     """
 
-    def __init__(self, targets: int) -> None:
-        self._left, self._reserved, self._spent = _LOOKS + _LOOKS_PER_ROW * targets, 0, 0
-        self._tried = self._reached = 0
+    def __init__(self, targets: int, price: float = 1.0, *, to_start: bool = False) -> None:
+        wanted = _LOOKS + _LOOKS_PER_ROW * targets
+        least = min(_LOOKS_FROM_READINGS, _LOOKS_PER_ROW) if to_start else 0
+        self._left = max(least * targets, min(wanted, int(max(_MOST_SPENT, wanted) / price)))
+        self._share = _LOOKS_PER_ROW if self._left >= _LOOKS_PER_ROW * targets else least
+        self._reserved = self._spent = self._tried = self._reached = 0
 
     def reserve(self, targets: int) -> None:
         """Keep the share of so many targets for later."""
-        self._reserved = min(_LOOKS_PER_ROW * targets, self._left)
+        self._reserved = min(self._share * targets, self._left)
 
     def spend(self, looks: int) -> None:
         """Count some looks."""
@@ -119,6 +128,12 @@ class Effort:
         """Whether nothing is left for the rows of now."""
         hopeless = 2 * self._reached < self._tried and self._spent > _LOOKS_OF_HOPELESS
         return hopeless or self._left <= self._reserved
+
+
+def price(model: CalibratedMachine, residuals: ResidualModel | None) -> float:
+    """Return what a look at a machine costs, in looks at an arm without loops."""
+    rows = 0 if residuals is None else residuals.rows
+    return 1.0 + _OF_A_LOOP * len(model.robot.loops) + rows / _ROWS_OF_ONE
 
 
 def limits(readings: Sequence[Reading]) -> tuple[Array, Array]:
@@ -210,8 +225,8 @@ class _Machine:
 
 
 def solve(model: CalibratedMachine, asked: Asked, how: How, effort: Effort | None = None) -> Corrections:
-    """Return the corrections of all rows, within an effort, one of as many rows when None."""
-    effort = effort or Effort(len(asked.start))
+    """Return the corrections of all rows, within an effort; None: that of as many rows with readings to start from."""
+    effort = effort or Effort(len(asked.start), price(model, how.residuals), to_start=True)
     what, tolerances = how.what, how.tolerances
     if what not in ("pose", "position"):
         raise JobError(f"what shall be reached is {what!r}; allowed are pose, position.")

@@ -11,6 +11,8 @@ from calib.measurement.table import Columns
 from calib.robot.robot import Robot
 
 About = Literal["tip", "joints", "angles", "lengths", "position", "orientation", "observes", "setup", "columns"]
+# Of the answers to choose from, in one sentence.
+_MOST_SHOWN = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +30,9 @@ class Question:
     @property
     def sentence(self) -> str:
         """The question with the option that answers it."""
-        how = " or ".join(f"{self.option} {choice}" for choice in self.choices) or self.option
+        shown = [f"{self.option} {choice}" for choice in self.choices[:_MOST_SHOWN]] or [self.option]
+        more = len(self.choices) - _MOST_SHOWN
+        how = " or ".join(shown if more <= 0 else [*shown, f"one of {more} more"])
         return f"{self.text}; answer by {how}."
 
     def answered(self, choice: str) -> dict[str, Any]:

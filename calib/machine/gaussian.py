@@ -105,6 +105,11 @@ class GaussianResiduals:
     factor: Array
     weights: Array
 
+    @property
+    def rows(self) -> int:
+        """How many measured rows are gone through for every vector: all."""
+        return len(self.points)
+
     def at(self, readings: Array, *, clamp: bool = False) -> Array:  # noqa: ARG002 - it fades either way
         """Return the predicted error vectors (N, 3) in m at readings (N, nr) in rad and m; zero far from all rows.
 

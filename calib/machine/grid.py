@@ -67,6 +67,11 @@ class SectorGrid:
     measured: BoolArray
     frame: Frame
 
+    @property
+    def rows(self) -> int:
+        """How many measured rows are gone through for every vector: none, as the nodes around it suffice."""
+        return 0
+
     def at(self, readings: Array, *, clamp: bool = False) -> Array:
         """Return the error vectors (N, 3) in m, multilinear in each cell, at readings (N, nr) in rad and m.
 

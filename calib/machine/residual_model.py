@@ -16,6 +16,10 @@ class ResidualModel(Protocol):
     def frame(self) -> Frame:
         """Whose axes the vectors have: those of the base or of the tip link."""
 
+    @property
+    def rows(self) -> int:
+        """How many measured rows are gone through for every vector."""
+
     def at(self, readings: Array, *, clamp: bool = False) -> Array:
         """Return vectors (N, 3) in m to add to predicted positions at readings (N, nr), finite where it clamps."""
 

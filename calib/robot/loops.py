@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import PoseError
 from calib.robot.kinematics import way
 from calib.robot.skeleton import Skeleton, derivative
@@ -98,30 +98,35 @@ class Closure:
 
         Raises PoseError naming the first row whose loop cannot close or is at a dead centre.
         """
-        q, still = q.copy(), self._still(q)
-        for _ in range(_MOST_STEPS):
-            dead, step = self._step(q, still)
-            self._refuse(dead, "is at a dead centre: its joints may go two ways")
-            q[:, self._passive] -= step
-            if np.max(np.abs(step), initial=0.0) < _LAST_STEP:
-                return q
-        self._refuse(self._open(q, still), "cannot close: its links do not reach")
+        q, dead, open_ = self._sought(q)
+        self._refuse(dead, "is at a dead centre: its joints may go two ways")
+        self._refuse(open_, "cannot close: its links do not reach")
         return q
 
     def closes(self, q: Array) -> BoolArray:
-        """Return in which rows :meth:`close` finds joint positions from q (N, nj); one that has some is left alone."""
-        q, found, left = q.copy(), np.ones(len(q), dtype=bool), np.arange(len(q))
-        still = self._still(q)
+        """Return in which rows :meth:`close` finds joint positions from q (N, nj)."""
+        _, dead, open_ = self._sought(q)
+        return ~(dead | open_)
+
+    def _sought(self, q: Array) -> tuple[Array, BoolArray, BoolArray]:
+        """Return joint positions (N, nj) with the passive joints solved, which rows are at a dead centre, which open.
+
+        A row that has come to its end is left alone: few need as many steps as the last one.
+        """
+        found, dead, open_ = q.copy(), np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
+        left, q, still = np.arange(len(q)), q.copy(), self._still(q)
         for _ in range(_MOST_STEPS):
-            dead, step = self._step(q[left], _rows_of(still, left))
-            found[left[dead]] = False
-            moving = ~dead & (np.max(np.abs(step), axis=1) >= _LAST_STEP)
-            left = left[moving]
+            stuck, step = self._step(q, still)
+            dead[left[stuck]] = True
+            q[:, self._passive] -= step
+            going = ~stuck & (np.max(np.abs(step), axis=1, initial=0.0) >= _LAST_STEP)
+            if not going.all():
+                found[left[~going]] = q[~going]
+                left, q, still = left[going], q[going], _rows_of(still, going)
             if not len(left):
-                return found
-            q[np.ix_(left, self._passive)] -= step[moving]
-        found[left] = ~self._open(q[left], _rows_of(still, left))
-        return found
+                return found, dead, open_
+        found[left], open_[left] = q, self._open(q, still)
+        return found, dead, open_
 
     def rooms(self, q: Array) -> Array:
         """Return how far (N,) closed positions q (N, nj) are from a dead centre; its two sides differ in sign.
@@ -254,7 +259,7 @@ def _ring(s: Skeleton, loop: Loop, passive: Sequence[int]) -> _Ring:
     return _Ring(list(loop.closes), (sides[0], sides[1]), np.concatenate(rows + tails))
 
 
-def _rows_of(frames: Sequence[Sequence[_Frames]], rows: IntArray) -> list[list[_Frames]]:
+def _rows_of(frames: Sequence[Sequence[_Frames]], rows: BoolArray) -> list[list[_Frames]]:
     return [[_Frames(one.R[:, :, rows], one.p[:, rows]) for one in own] for own in frames]
 
 

@@ -170,6 +170,22 @@ def _long_arm(folder: Path, size: int) -> None:
     _edited(folder / "calibration.toml", 'tip = "probe"', f'tip = "l{n}"')
 
 
+def _fork(folder: Path, size: int) -> None:
+    """Write a long arm that ends in very many fingers, and a table that names as many joints as a table may."""
+    joint = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{0}"/><axis xyz="0 {2} 1"/></joint>'
+    long, many = 199, min(790, max(2, size // 200 - 199))
+    names = [*(f"f{k}" for k in range(long)), *(f"finger_x{k}" for k in range(many))]
+    parents = ["base", *names[: long - 1], *[names[long - 1]] * many]
+    links = "".join(f'<link name="{name}"/>' for name in ("base", *names))
+    joints = "".join(
+        joint.format(name, parent, k % 2) for k, (name, parent) in enumerate(zip(names, parents, strict=False))
+    )
+    (folder / "fork.urdf").write_text(f'<robot name="r">{links}{joints}</robot>', encoding="utf-8")
+    rng = np.random.default_rng(0)
+    rows = rng.uniform(-1.0, 1.0, (max(9, size // (5 * len(names))), len(names) + 3))
+    _table(folder / "fork.csv", ",".join([*(f"{name} [rad]" for name in names), "x [m]", "y [m]", "z [m]"]), rows, 1)
+
+
 # Of meshes. ------------------------------------------------------------------------------------------------------
 
 
@@ -690,6 +706,13 @@ def _positions(folder: Path, size: int) -> None:
     (folder / "targets.csv").write_text("x [mm],y [mm],z [mm]\n" + rows, encoding="utf-8")
 
 
+def _positions_of_a_loop(folder: Path, size: int) -> None:
+    """Write positions, and results of an arm with a loop in the place of the shipped ones."""
+    _positions(folder, size)
+    shutil.rmtree(folder / _RESULTS)
+    shutil.copytree(_results("irb2400"), folder / _RESULTS)
+
+
 def _poses(folder: Path, size: int) -> None:
     """Write poses that the arm can hardly reach: of one orientation, about the end of its links."""
     (folder / "targets.csv").write_text(
@@ -1156,6 +1179,7 @@ HOSTILE: dict[str, Hostile] = {
         )
     ),
     "a long arm": Hostile(_long_arm),
+    "a fork of fingers": Hostile(_fork, ("check", "fork.urdf", "fork.csv")),
     "collision shapes": Hostile(
         _urdf(_collisions, "</link>").write,
         ("plan", "calibration.toml", "-o", "plan.csv", "--candidates", "50", "-n", "20"),
@@ -1264,6 +1288,7 @@ HOSTILE: dict[str, Hostile] = {
     ),
     "joint targets": Hostile(_targets, _COMPENSATE),
     "positions": Hostile(_positions, _COMPENSATE),
+    "positions of a loop": Hostile(_positions_of_a_loop, _COMPENSATE),
     "poses hardly in reach": Hostile(_poses, _COMPENSATE),
     "positions out of reach": Hostile(_far_positions, _COMPENSATE),
     "tools of a model": _model("tools", lambda _: _POSE, _COMPENSATE),
@@ -1294,10 +1319,15 @@ def fill(name: str, folder: Path, size: int) -> tuple[str, ...]:
     return hostile.run
 
 
-def _results() -> Path:
-    folder = Path(tempfile.gettempdir()) / f"calib-hostile-{os.getpid()}"
+def _made() -> Path:
+    return Path(tempfile.gettempdir()) / f"calib-hostile-{os.getpid()}"
+
+
+def _results(case: str = "arm_cmm") -> Path:
+    folder = _made() / case
     if not folder.exists():
-        done = measure(("calibrate", str(CASE / "calibration.toml"), "-o", str(folder)), ROOT)
+        folder.parent.mkdir(exist_ok=True)
+        done = measure(("calibrate", str(ROOT / "robots" / case / "calibration.toml"), "-o", str(folder)), ROOT)
         assert done.code == 0, done.said
     return folder
 
@@ -1351,7 +1381,7 @@ def main() -> int:
                 f" {took.code:3} {took.said[:110]}",
                 flush=True,
             )
-    shutil.rmtree(Path(tempfile.gettempdir()) / f"calib-hostile-{os.getpid()}", ignore_errors=True)
+    shutil.rmtree(_made(), ignore_errors=True)
     return int(bad > 0)
 
 

@@ -1,6 +1,7 @@
 """Commands: the calibrated machine, moved to corrected readings, is where the nominal one would have been."""
 
 import csv
+import itertools
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from calib.compensation import commands, inverse, targets
 from calib.foundations.choices import PoseFrame
 from calib.foundations.errors import JobError, MeasurementError
 from calib.machine import grid
+from calib.machine.gaussian import GaussianResiduals, Kernel
 from calib.measurement.table import table_from_arrays
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.kinematics import Kinematics
@@ -318,6 +320,40 @@ def test_targets_that_come_later_keep_their_share_of_the_search(monkeypatch: pyt
     monkeypatch.setattr(inverse, "_BLOCK", 10)
     found = commands.for_poses(model, poses, readings + 0.02)
     assert found.reached[10:].all()
+
+
+def test_where_a_look_costs_more_fewer_are_spent_and_readings_to_start_from_are_never_short_of_them() -> None:
+    def left(effort: inverse.Effort) -> int:
+        for n in itertools.count():
+            if effort.spent:
+                return 1000 * n
+            effort.spend(1000)
+        raise AssertionError
+
+    assert left(inverse.Effort(1000)) == 524_000
+    assert left(inverse.Effort(1_000_000)) == 24_500_000
+    assert left(inverse.Effort(1000, 6.0)) == 417_000, "a small table hardly notices"
+    assert left(inverse.Effort(80_000, 6.0)) == 417_000, "what they cost is bounded"
+    assert left(inverse.Effort(80_000, 6.0, to_start=True)) == 960_000, "a dozen each"
+    short = inverse.Effort(80_000, 6.0)
+    short.reserve(79_000)
+    assert left(short) == 417_000, "what does not suffice for all is for the first"
+    enough = inverse.Effort(80_000, 6.0, to_start=True)
+    enough.reserve(79_000)
+    assert left(enough) == 12_000
+
+
+def test_looks_cost_more_with_loops_and_with_the_rows_of_a_gaussian_process() -> None:
+    arm = model_of(robot_of("ur10"))
+    loop = model_of(irb2400())
+    assert inverse.price(arm, None) == 1.0
+    assert inverse.price(loop, None) == 7.0
+    rows = np.zeros((1300, 6))
+    kernel = Kernel(1e-4, np.ones(6), 1e-5)
+    names = tuple((reading.name, reading.dimension) for reading in arm.robot.readings)
+    none = np.zeros((0, 0))
+    process = GaussianResiduals(names, tuple(range(6)), rows, rows[:, :3], "base", kernel, none, none)
+    assert inverse.price(arm, process) == 11.0
 
 
 def test_limits() -> None:

@@ -486,6 +486,18 @@ def test_poses_in_which_no_loop_closes_are_not_tried_one_by_one(monkeypatch: pyt
     assert counted.steps < 1000
 
 
+def test_rows_that_are_closed_do_not_wait_for_one_that_cannot(monkeypatch: pytest.MonkeyPatch) -> None:
+    short = load(SLIDER_CRANK.replace('xyz="0.4 0.03 0.05"', 'xyz="0.4 -0.3 0.05"'), "tip", CROSSHEAD)
+    readings = np.random.default_rng(7).uniform(-3.0, 3.0, (200, 1))
+    readings = readings[closing(short, readings)]
+    alone = short.tips(readings[:1])
+    counted = Counted(monkeypatch)
+    assert np.abs(short.tips(readings)[:1] - alone).max() < 1e-15
+    all_close, counted.rows = counted.rows, 0
+    assert refused(short, np.vstack([readings, [[1.4]]])).rows == (len(readings),)
+    assert counted.rows <= all_close + 30
+
+
 def test_random_poses_are_looked_at_only_while_some_are_lacking(monkeypatch: pytest.MonkeyPatch) -> None:
     short = load(SLIDER_CRANK.replace('xyz="0.4 0.03 0.05"', 'xyz="0.4 -0.3 0.05"'), "tip", CROSSHEAD)
     counted, limits = Counted(monkeypatch), np.array([[-3.0, 3.0]])

@@ -9,7 +9,7 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.units import MM, UNITS
 from calib.identification.followed import FEWEST_ROWS, Followed, followed
-from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension, run_of, values_of
+from calib.job.foreign.answers import AskedError, Pick, Trial, ask, few_of, of_dimension, run_of, values_of
 from calib.job.foreign.seen import Seen
 from calib.job.proposal import About
 from calib.measurement.raw import RawColumn
@@ -23,8 +23,8 @@ FOLLOWS = 0.15
 ALIKE, TIMES = 0.1, 3.0
 # Nothing that an instrument measures agrees with a URDF so well.
 _COMPUTED = 2e-5
-# Rows on which a reading is tried.
-_MOST_ROWS = 120
+# Rows on which a reading is tried, and in how many ways one table is read: of each it is seen how well the arm follows.
+_MOST_ROWS, _MOST_WAYS = 120, 400
 _LIMIT_SLACK = 1.1
 # A base and a tool of their own explain a few rows of anything better than many.
 _FEWEST_OF_PART = FEWEST_ROWS + 4
@@ -34,12 +34,45 @@ _PARTS_FOLLOW = 0.1
 _LOOKED_AT = 12
 
 
-def trials_of(seen: Seen, pick: Pick, lengths: Sequence[str]) -> list[Trial]:
-    """Return a pick in all units that it may have; ``lengths``: those of a point without one."""
+def trials(seen: Seen, picks: Sequence[Pick], lengths: Sequence[str], before: int = 0) -> list[Trial]:
+    """Return picks in all units that they may have, after so many ways that were tried ``before``.
+
+    ``lengths``: units of a point without one. Raises AskedError where that is more than can be tried.
+    """
+    ways = before + sum(_ways(seen, pick, lengths) for pick in picks)
+    if ways > _MOST_WAYS:
+        arms, points = (len({getattr(pick, name) for pick in picks}) for name in ("arm", "point"))
+        raise ask(
+            "columns",
+            f"{seen.raw.where}: joints, point and units may be read in {ways} ways (arms: {arms}; "
+            f"points: {points}); {_MOST_WAYS} are tried at most",
+            (),
+            "--tip LINK, --column 'x=TITLE' and so on, --angles and --lengths, as far as you know them",
+        )
+    return [trial for pick in picks for trial in _trials_of(seen, pick, lengths)]
+
+
+def without_unit(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
+    """Return the picks whose points may be in any unit of length."""
+    return [pick for pick in picks if len(options(_columns_of(seen, pick)[1], seen.answers.lengths, ("m", "mm"))) > 1]
+
+
+def _ways(seen: Seen, pick: Pick, lengths: Sequence[str]) -> int:
+    columns, point = _columns_of(seen, pick)
+    units = units_of_joints(seen, seen.robot(pick.arm), columns)
+    return len(units) * len(options(point, seen.answers.lengths, lengths))
+
+
+def _columns_of(seen: Seen, pick: Pick) -> tuple[list[RawColumn], list[RawColumn]]:
+    assert pick.point is not None
+    joints, point = pick.joints.columns, pick.point.columns
+    return [seen.raw.columns[k] for k in joints], [seen.raw.columns[k] for k in point]
+
+
+def _trials_of(seen: Seen, pick: Pick, lengths: Sequence[str]) -> list[Trial]:
     assert pick.point is not None
     robot = seen.robot(pick.arm)
-    columns = [seen.raw.columns[k] for k in pick.joints.columns]
-    point = [seen.raw.columns[k] for k in pick.point.columns]
+    columns, point = _columns_of(seen, pick)
     numbers = numbers_of(seen.raw, (*pick.joints.columns, *pick.point.columns))
     rows = np.flatnonzero(np.isfinite(numbers).all(axis=1) & seen.alike())
     if len(rows) > _MOST_ROWS:
@@ -132,7 +165,7 @@ def _of_the_same_joints(seen: Seen, rivals: Sequence[Trial]) -> list[Trial]:
         first_of = rivals[0].pick.arm.joints[0]
         raise ask(
             "joints",
-            f"{seen.raw.where}: {' and '.join(sorted(map(seen.titles, ranks)))} fit the joints equally well",
+            f"{seen.raw.where}: {few_of(sorted(map(seen.titles, ranks)), ' and ')} fit the joints equally well",
             [f"'{first_of}={seen.raw.columns[one[0]].title}'" for one in sorted(ranks)],
             "--column",
         )
@@ -160,7 +193,7 @@ def _point_question(seen: Seen, found: Iterable[Point]) -> AskedError:
     columns = sorted({one.columns for one in found})
     return ask(
         "position",
-        f"{seen.raw.where}: which columns were measured, {' or '.join(map(seen.titles, columns))}?",
+        f"{seen.raw.where}: which columns were measured, {few_of([*map(seen.titles, columns)], ' or ')}?",
         [f"'x={seen.raw.columns[one[0]].title}'" for one in columns],
         "--column",
     )

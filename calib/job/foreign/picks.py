@@ -12,8 +12,9 @@ from calib.measurement import roles
 from calib.measurement.layout import is_number
 from calib.measurement.raw import RawColumn
 
-# Arms that the columns of a table may be of, as far as they are looked at.
-_MOST_READ = 48
+# Arms that the columns of a table may be of, as far as they are looked at, and the joints of all of them: what a long
+# arm takes to be looked at grows with the third power of its joints.
+_MOST_READ, _MOST_JOINTS_READ = 48, 1000
 # Joints beyond an arm.
 _FINGER = re.compile(r"finger|grip|hand|jaw|knuckle|thumb|claw|palm", re.IGNORECASE)
 # A run of numbered columns that may be the end of a longer arm.
@@ -70,7 +71,7 @@ def _joints(seen: Seen) -> list[tuple[Chain, roles.Joints]]:
     with_names = roles.named_among(seen.raw, {name for arm in seen.arms for name in arm.joints}, among)
     named: list[tuple[Chain, roles.Joints]] = []
     for arm in seen.arms:
-        if len(named) >= _MOST_READ:
+        if not _is_room_for(arm, [other for other, _ in named]):
             break
         given = [seen.named.get(name) for name in arm.joints]
         if all(given) and (arm is seen.arms[0] or seen.answers.tip is not None):
@@ -110,7 +111,18 @@ def _arms_of(seen: Seen, counts: Iterable[int]) -> list[Chain]:
         for arm in seen.arms
         if len(arm.joints) > count >= _FEWEST_JOINTS and arm.joints not in cut
     ]
-    return list(dict.fromkeys([*whole, *ends]))[:_MOST_READ]
+    found: list[Chain] = []
+    for arm in dict.fromkeys([*whole, *ends]):
+        if not _is_room_for(arm, found):
+            break
+        found.append(arm)
+    return found
+
+
+def _is_room_for(arm: Chain, others: Sequence[Chain]) -> bool:
+    """Return whether one more arm is looked at; the first always is."""
+    joints = sum(len(other.joints) for other in others) + len(arm.joints)
+    return not others or (len(others) < _MOST_READ and joints <= _MOST_JOINTS_READ)
 
 
 def _cut_short(seen: Seen) -> frozenset[tuple[str, ...]]:

@@ -39,9 +39,9 @@ def read(document: Urdf, raw: RawTable, answers: Answers, robot: Robot | None) -
 
 
 def _positions(seen: Seen, picks: Sequence[Pick]) -> Found:
-    trials = [trial for pick in picks for trial in fits.trials_of(seen, pick, ("m", "mm"))]
+    trials = fits.trials(seen, picks, ("m", "mm"))
     if not any(trial.fit.share < fits.FOLLOWS for trial in trials):
-        trials += [trial for pick in picks for trial in fits.trials_of(seen, pick, ("cm", "inch"))]
+        trials += fits.trials(seen, fits.without_unit(seen, picks), ("cm", "inch"), len(trials))
     trials.sort(key=lambda trial: trial.fit.share)
     enough = trials and len(trials[0].rows) >= FEWEST_ROWS
     if enough and trials[0].fit.share < fits.FOLLOWS:
