@@ -140,3 +140,14 @@ def test_an_image_of_too_many_pixels_is_not_unpacked(tmp_path: Path) -> None:
         [sys.executable, "-c", f"{read} r(Path(sys.argv[1]))", tmp_path / "a.pgm"], capture_output=True, check=False
     )
     assert done.stderr.decode().endswith("a.pgm: has too many pixels; 160 million are allowed.\n")
+
+
+def test_an_image_of_many_pixels_and_few_bytes_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.png"
+    file.write_bytes(cv2.imencode(".png", np.zeros((4500, 4500), dtype=np.uint8))[1].tobytes())
+    with pytest.raises(
+        MeasurementError, match=r"a\.png: has 4500 x 4500 pixels in \d+ bytes, as no photograph has; of"
+    ):
+        read_image(file)
+    file.write_bytes(cv2.imencode(".png", np.zeros((4400, 4400), dtype=np.uint8))[1].tobytes())
+    assert read_image(file).shape == (4400, 4400)

@@ -21,6 +21,9 @@ from calib.measurement.prints import Print
 # What cameras write, by the ends of names.
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 LARGEST_IMAGE, MOST_PIXELS, SMALLEST_SIDE = 200_000_000, 160_000_000, 16
+# To find a board takes 33 bytes for every pixel. A photograph has some ten pixels for a byte of its file at most; more
+# than thirty, of many, are of a file made to swell.
+_FEW_PIXELS, _PIXELS_OF_A_BYTE = 20_000_000, 30
 # OpenCV looks at this when it is loaded, and then before it unpacks an image.
 _BOUND = "OPENCV_IO_MAX_IMAGE_PIXELS"
 # Pixels looked at around a corner, as a share of the way to what is printed next to it.
@@ -106,6 +109,11 @@ def read_image(file: Path) -> Array:
     height, width = image.shape
     if min(height, width) < SMALLEST_SIDE:
         raise MeasurementError(f"{file}: has {width} x {height} pixels; the smallest side allowed is {SMALLEST_SIDE}.")
+    if image.size > max(_FEW_PIXELS, _PIXELS_OF_A_BYTE * len(data)):
+        raise MeasurementError(
+            f"{file}: has {width} x {height} pixels in {len(data)} bytes, as no photograph has; of more than "
+            f"{_FEW_PIXELS // 1_000_000} million, {_PIXELS_OF_A_BYTE} for a byte are allowed."
+        )
     return np.asarray(image)
 
 
