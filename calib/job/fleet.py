@@ -4,6 +4,7 @@ import asyncio
 import os
 import re
 import signal
+import struct
 import sys
 import threading
 import time
@@ -260,12 +261,14 @@ def _cluster(address: str, jobs: Sequence[FleetJob]) -> Iterator[Iterable[Done]]
     try:
         from distributed import Client  # noqa: PLC0415 - an optional dependency
         from distributed.utils import LoopRunner  # noqa: PLC0415 - an optional dependency
+        from tornado.websocket import WebSocketError  # noqa: PLC0415 - only Dask speaks it here
     except ImportError as e:
         raise JobError("--dask: needs a package that is not installed: pip install 'urdf-calib[dask]'.") from e
     try:
         LoopRunner(asynchronous=False).run_sync(_greeted, address)
         client = Client(address, timeout=_PATIENCE, set_as_default=False)
-    except Exception as e:  # every protocol of Dask's has exceptions of its own for what is no scheduler
+    except (OSError, ValueError, TypeError, MemoryError, struct.error, WebSocketError) as e:
+        # What Dask makes of an address that is none, of TLS without certificates, and of another program's greeting.
         raise JobError(f"{address}: no Dask scheduler answers there, as at tcp://host:8786.") from e
     with client, closing(_on_cluster(client, address, jobs)) as finished:
         yield finished

@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -421,6 +422,12 @@ def test_a_scheduler_that_is_stopped_is_not_waited_for(folder: Path, monkeypatch
         scheduler.wait()
 
 
+def _greet(server: socket.socket, said: bytes) -> None:
+    with server.accept()[0] as connection:
+        connection.sendall(said)
+        connection.recv(1024)
+
+
 def test_no_cluster(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(fleets, "_PATIENCE", 1)
@@ -430,6 +437,13 @@ def test_no_cluster(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             run_fleet(chosen, dask=address)
     with socket.create_server(("127.0.0.1", 0)) as silent, pytest.raises(JobError, match="no Dask scheduler answers"):
         run_fleet(chosen, dask=f"tcp://127.0.0.1:{silent.getsockname()[1]}")  # some program that waits to be asked
+    for greeting in (b"SSH-2.0-OpenSSH_9.2\r\n", bytes(64)):
+        with socket.create_server(("127.0.0.1", 0)) as other:
+            greeter = threading.Thread(target=_greet, args=(other, greeting))
+            greeter.start()
+            with pytest.raises(JobError, match="no Dask scheduler answers"):
+                run_fleet(chosen, dask=f"tcp://127.0.0.1:{other.getsockname()[1]}")
+            greeter.join()
     with distributed.LocalCluster(n_workers=0, host="127.0.0.1", **QUIET) as cluster:
         with pytest.raises(JobError) as caught:
             run_fleet(chosen, dask=cluster.scheduler_address)
