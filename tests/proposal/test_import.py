@@ -305,6 +305,13 @@ def test_a_number_of_very_many_digits_is_json(folder: Path, name: str, where: st
     assert str(caught.value) == f"{where}: is not JSON that can be read: it has a number of 900000 digits."
 
 
+def test_an_order_that_was_asked_for_does_not_blame_the_columns(folder: Path) -> None:
+    (folder / "a.csv").write_text("Pose,q\n1,0.1\n2,0.2\n3,0.3\n")
+    (folder / "b.csv").write_text("Name,x\n2,1.5\n1,2.5\n")
+    said = run("import", "a.csv", "b.csv", "--by", "order", "-o", "c.csv")
+    assert said == (1, "", "Error: a.csv has 3 rows and b.csv 2, and in order each row needs one beside it.\n")
+
+
 def test_one_row_is_no_rows(folder: Path) -> None:
     (folder / "a.json").write_text('[{"x": 1}]')
     assert run("import", "a.json", "-o", "a.csv").out == "1 row of 1 column is in a.csv.\n"

@@ -120,7 +120,7 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
     come once and are those of the other; more than one such way, or none and other numbers of rows, is refused.
     """
     if by == "order":
-        return _in_order(first, second)
+        return _in_order(first, second, "in order each row needs one beside it")
     own, other = _naming(first), _naming(second)
     ways = [
         (a, b)
@@ -139,7 +139,7 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
             raise MeasurementError(
                 f"{first.where}, {second.where}: {shown(by)} does not name each row of both tables exactly once."
             )
-        return _in_order(first, second)
+        return _in_order(first, second, "no column tells which rows belong together")
     a, b = ways[0]
     pairs = _partners(first, a, second, b)
     rest = [k for k in range(len(second.titles)) if k != b]
@@ -158,11 +158,10 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
     return Sheet(titles, rows, first.where, (*first.remarks, *second.remarks, *said))
 
 
-def _in_order(first: Sheet, second: Sheet) -> Sheet:
+def _in_order(first: Sheet, second: Sheet, refused: str) -> Sheet:
     if len(first.rows) != len(second.rows):
         raise MeasurementError(
-            f"{first.where} has {counted(len(first.rows), 'row')} and {second.where} {len(second.rows)}, and no "
-            "column tells which rows belong together."
+            f"{first.where} has {counted(len(first.rows), 'row')} and {second.where} {len(second.rows)}, and {refused}."
         )
     rows = tuple((*a, *b) for a, b in zip(first.rows, second.rows, strict=True))
     said = f"{counted(len(rows), 'row')} joined in their order"
