@@ -13,6 +13,7 @@ import numpy as np
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.units import DISPLAY, MRAD
+from calib.foundations.words import counted
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NullDirection
@@ -141,12 +142,16 @@ def told_briefly(
 
 def _joints(model: ErrorModel) -> str:
     types = [model.robot.moving_types[j] for j in range(len(model.robot.moving))]
-    told = [
-        f"{_NUMBERS.get(types.count(kind), str(types.count(kind)))} {kind} joint{'s' if types.count(kind) > 1 else ''}"
-        for kind in dict.fromkeys(types)
-    ]
+    told = [_in_words(types.count(kind), f"{kind} joint") for kind in dict.fromkeys(types)]
+    # A mimic joint moves and is not read, so that a controller may show fewer joints, or others.
+    read = f", moved by {_in_words(n, 'reading')}," if (n := len(model.robot.readings)) != len(types) else ""
     free = [name for name, freedom in (("base", model.base), ("tool", model.tool)) if freedom != "fixed"]
-    return " and ".join(told) + (f" with a free {' and '.join(free)}" if free else "")
+    with_free = f" with a free {' and '.join(free)}" if free else ""
+    return (" and ".join(told) + read + with_free).removesuffix(",")
+
+
+def _in_words(count: int, one: str) -> str:
+    return counted(count, one).replace(str(count), _NUMBERS.get(count, str(count)), 1)
 
 
 def _of_direction(direction: NullDirection, remedies: Sequence[str]) -> Advice:

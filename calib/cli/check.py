@@ -11,7 +11,8 @@ from calib.cli.proposing import NOTHING_SAID, Said, proposed, tell_check
 from calib_start import loading
 
 _ROBOT = (".urdf", ".xacro")
-_TABLE = (".csv", ".tsv", ".txt", ".dat", ".asc")
+# A workbook among them: it is refused as a table, in a sentence that says what makes one of it.
+_TABLE = (".csv", ".tsv", ".txt", ".dat", ".asc", ".xlsx")
 
 Every = Annotated[bool, typer.Option("--all", help="List every direction of the null space.")]
 

@@ -38,6 +38,7 @@ def compensate(
     with loading():
         from calib.compensation import targets as targets_of
         from calib.foundations.files import refuse_taken, write_new
+        from calib.foundations.words import counted
         from calib.machine.model_file import load_machine
         from calib.machine.tool_uncertainty import outside_identified
         from calib.presentation.console import warning
@@ -54,11 +55,12 @@ def compensate(
     if model.uncertainty is not None and found.reached.any():
         outside = tuple(outside_identified(model, found.readings[found.reached]))
     missed = len(found) - int(found.reached.sum())
-    said = f"{missed} cannot be reached, and the table says why" if missed else "all can be reached"
+    all_of_it = "it" if len(found) == 1 else "all"
+    said = f"{missed} cannot be reached, and the table says why" if missed else f"{all_of_it} can be reached"
     telling.tell(
         lambda: {"file": str(out), **found.contents(), "notes": list(idle)},
         lambda: [
             *map(warning, (*idle, *outside)),
-            f"{len(found)} targets, {said}. The corrected commands are in {out}.",
+            f"{counted(len(found), 'target')}, {said}. The corrected commands are in {out}.",
         ],
     )

@@ -8,6 +8,7 @@ import typer
 from calib.cli.application import IN_WORDS, MORE, Telling, command
 from calib.cli.options import argument, option, written
 from calib.foundations.choices import Convention
+from calib.foundations.words import counted
 from calib_start import loading
 
 
@@ -43,5 +44,5 @@ def dh(
         write_new(out, dh_of.write_dh(table))
     telling.tell(
         lambda: {"file": str(out), **table.contents()},
-        lambda: [f"{len(table.rows)} rows, {table.convention} convention; the file is {out}."],
+        lambda: [f"{counted(len(table.rows), 'row')}, {table.convention} convention; the file is {out}."],
     )

@@ -9,6 +9,7 @@ import typer
 
 from calib.cli.application import IN_WORDS, PREPARE, Telling, command
 from calib.cli.options import argument, option, refuse_idle, written
+from calib.foundations.words import counted
 from calib_start import loading
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def import_(
     for other in sheets[1:] if stack is None else ():
         sheet = joined(sheet, other, by)
     write_new(out, sheet.csv())
-    _tell(sheet, f"{len(sheet.titles)} columns", out, telling)
+    _tell(sheet, counted(len(sheet.titles), "column"), out, telling)
 
 
 def _recording(files: list[Path], topic: str | None, out: Path | None, telling: Telling) -> None:
@@ -134,7 +135,7 @@ def _tell(sheet: "Sheet", of: str, out: Path, telling: Telling) -> None:
     remarks = [f"{remark}." for remark in sheet.remarks]
     telling.tell(
         lambda: {"file": str(out), "rows": len(sheet.rows), "columns": list(sheet.titles), "remarks": remarks},
-        lambda: [*remarks, f"{len(sheet.rows)} rows of {of} are in {out}."],
+        lambda: [*remarks, f"{counted(len(sheet.rows), f'row of {of} is', f'rows of {of} are')} in {out}."],
     )
 
 

@@ -12,8 +12,8 @@ class NotJsonError(ValueError):
     """What is wrong with a text: the end of a sentence."""
 
 
-class TwiceError(NotJsonError):
-    """A name that comes twice in one object: the end of a sentence."""
+class UnreadableError(NotJsonError):
+    """What is JSON, and cannot be read: a name twice in one object, a number too long. The end of a sentence."""
 
 
 def document(contents: Mapping[str, Any]) -> str:
@@ -32,15 +32,16 @@ def parse_json(source: bytes) -> Any:
             source.decode("utf-8-sig"),
             parse_constant=_refuse_constant,
             parse_float=_finite,
+            parse_int=whole_number,
             object_pairs_hook=unique_names,
         )
-    except TwiceError as e:
+    except UnreadableError as e:
         raise NotJsonError(f"is not JSON that can be read: {e}") from e
     except NotJsonError:
         raise
     except RecursionError as e:
         raise NotJsonError("is not JSON that can be read: it is nested too deep") from e
-    except ValueError as e:  # also of bytes that are no text, and of numbers with thousands of digits
+    except ValueError as e:  # also of bytes that are no text
         raise NotJsonError("is not JSON, or is truncated") from e
 
 
@@ -55,11 +56,19 @@ def _finite(number: str) -> float:
     return value
 
 
+def whole_number(digits: str) -> int:
+    """Return a whole number of JSON, as ``parse_int`` takes it. Raises UnreadableError."""
+    try:
+        return int(digits)
+    except ValueError as e:  # Python converts some thousand digits, as the time grows with their square
+        raise UnreadableError(f"it has a number of {len(digits)} digits") from e
+
+
 def unique_names(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return an object of JSON, as ``object_pairs_hook`` takes it. Raises TwiceError."""
+    """Return an object of JSON, as ``object_pairs_hook`` takes it. Raises UnreadableError."""
     found = dict(pairs)
     if len(found) < len(pairs):
         seen: set[str] = set()
         twice = next(name for name, _ in pairs if name in seen or seen.add(name))  # type: ignore[func-returns-value]
-        raise TwiceError(f"it has {shown(twice)} twice in one object")
+        raise UnreadableError(f"it has {shown(twice)} twice in one object")
     return found

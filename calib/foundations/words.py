@@ -21,6 +21,11 @@ def shown(text: str) -> str:
     return repr(shortened(text))
 
 
+def counted(count: int, one: str, several: str = "") -> str:
+    """Return how many there are: "1 row", "2 rows". ``several``: where it is not ``one`` with s."""
+    return f"{count} {one if count == 1 else several or one + 's'}"
+
+
 def listed(names: Collection[str], most: int = 12) -> str:
     """Return the first names, quoted, and how many more there are."""
     first = list(names)[:most]

@@ -12,7 +12,7 @@ from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import IdentificationError, JobError
 from calib.foundations.linear import one_thread
 from calib.foundations.ranges import RANGES
-from calib.foundations.words import refuse_other
+from calib.foundations.words import counted, refuse_other
 from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow
 from calib.identification.error_model import ErrorModel
@@ -164,7 +164,7 @@ def _identify(
     # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
     kept, directions = identifiability.told(found.start, _common_rank(found), parameters)
     if null_space == "refuse" and directions:
-        many = "1 combination" if len(directions) == 1 else f"{len(directions)} combinations"
+        many = counted(len(directions), "combination")
         raise IdentificationError(f"the data do not determine {many} of parameters; the first: {directions[0]}")
     rank = found.directions.rank
     held: tuple[Parameter, ...] = ()

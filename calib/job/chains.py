@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from calib.foundations.errors import RobotError
+from calib.foundations.words import counted
 from calib.robot.urdf import MOST_JOINTS, Urdf, UrdfJoint, read_urdf
 
 # Links of the same joints differ by where the tool is; what is usually meant by the tip, first.
@@ -102,7 +103,7 @@ def tips(urdf: str | Path) -> tuple[str, ...]:
     """Return one sentence for every arm of a URDF: its joints and its tip."""
     document = read_urdf(urdf)
     return tuple(
-        f"{document.where}: {len(arm.joints)} joints from {arm.base or document.root} to {arm.tip}: "
+        f"{document.where}: {counted(len(arm.joints), 'joint')} from {arm.base or document.root} to {arm.tip}: "
         f"{', '.join(arm.joints)}."
         for arm in whole_chains(document)
     ) or (f"{document.where}: no joint moves.",)

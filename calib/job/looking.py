@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from calib.assessment.advice import null_space_advice, told_briefly
+from calib.foundations.words import counted
 from calib.identification.observability import Observability, observability
 from calib.job.inputs import Inputs, load
 from calib.job.proposal import Proposal
@@ -26,8 +27,9 @@ class Looked(NamedTuple):
     def sentence(self) -> str:
         """How much of the parameters the poses determine."""
         return (
-            f"{self.seen.numbers} numbers determine {self.seen.rank} combinations of {len(self.seen.parameters)} "
-            f"parameters (condition number {self.seen.condition:.3g})."
+            f"{counted(self.seen.numbers, 'number determines', 'numbers determine')} "
+            f"{counted(self.seen.rank, 'combination')} of {counted(len(self.seen.parameters), 'parameter')} "
+            f"(condition number {self.seen.condition:.3g})."
         )
 
     def contents(self) -> dict[str, Any]:

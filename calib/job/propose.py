@@ -13,7 +13,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.errors import CalibError, JobError, MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import symbols
-from calib.foundations.words import listed, refuse_other, shown
+from calib.foundations.words import counted, listed, refuse_other, shown
 from calib.job.chains import Chain, chains
 from calib.job.foreign.answers import Answers, AskedError, ask, run_of
 from calib.job.foreign.reader import read
@@ -149,7 +149,7 @@ def told(file: str | Path) -> tuple[str, ...]:
     def named(columns: Iterable[int]) -> str:
         return run_of([raw.columns[k].title for k in columns])
 
-    said = [*raw.remarks, f"{raw.count} rows of {len(raw.columns)} columns"]
+    said = [*raw.remarks, f"{counted(raw.count, 'row')} of {counted(len(raw.columns), 'column')}"]
     said += [f"{named(point.columns)} may be a point" for point in known.points]
     said += [f"{named(one.columns)} may be an orientation" for one in known.orientations]
     said += [f"{size} columns are numbered" for size in numbered_columns(raw) if size > 2]

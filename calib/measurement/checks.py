@@ -14,6 +14,7 @@ import numpy as np
 from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DEG, MM
+from calib.foundations.words import counted
 from calib.measurement.measurements import Measurements
 from calib.measurement.streams.stream import OFFSET
 from calib.robot.robot import Reading
@@ -211,7 +212,7 @@ def _rounded(m: Measurements, readings: Sequence[Reading], reach: float) -> Iter
     j = int(np.argmax(steps * arms))
     factor, unit = (1.0 / DEG, "deg") if readings[j].dimension == "angle" else (1.0 / MM, "mm")
     more = int(np.count_nonzero(steps)) - 1
-    others = f" and {more} other{'s' if more > 1 else ''}" if more else ""
+    others = f" and {counted(more, 'other')}" if more else ""
     yield Finding.warning(
         "rounded-readings",
         f"{m.where}: readings of {readings[j].name!r}{others} come in steps of "

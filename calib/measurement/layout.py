@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import NUMBER, symbol_of
+from calib.foundations.words import counted
 from calib.measurement.cells import Line, beginning, cells, is_comment
 
 # In the order in which they are taken where several divide as well: a comma may also be a decimal one.
@@ -67,7 +68,7 @@ def layout(data: bytes, where: str) -> Layout:
     like_data = [i for i in range(data_row or 0) if len(rows[i]) == len(rows[data_row or 0])]
     header = like_data[0] if like_data else 0
     if header:
-        remarks.append(f"{header} line{'s' if header > 1 else ''} before the header passed over")
+        remarks.append(f"{counted(header, 'line')} before the header passed over")
     units: tuple[str, ...] = ("",) * len(rows[header])
     last = plain[header].number
     below = header + 1

@@ -10,7 +10,7 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
-from calib.foundations.words import listed
+from calib.foundations.words import counted, listed
 from calib.measurement.boards import Board
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
@@ -111,7 +111,7 @@ class Measurements:
         known = "stated" if np.isfinite(self.sigma).all() else "not stated"
         beside = {"tools": self.tools, "set-ups": self.setups, "targets": self.targets}
         said = [f"{what} {listed(names, most=4)}" for what, names in beside.items() if names]
-        rows = f"{len(self)} rows of {self.kind} at {len(self.reading_names)} joints"
+        rows = f"{counted(len(self), 'row')} of {self.kind} at {counted(len(self.reading_names), 'joint')}"
         return f"<Measurements {self.where}: {rows}; {'; '.join(said)}; sigma {known}>"
 
     def shifts(self, scalars: Array) -> dict[str, float]:

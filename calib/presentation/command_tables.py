@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.foundations.units import MM, UNITS
+from calib.foundations.words import counted
 from calib.presentation.report.document import Row, Sheet
-from calib.presentation.sheets import SHOWN, count
+from calib.presentation.sheets import SHOWN
 
 if TYPE_CHECKING:
     from calib.assessment.comparison import ModelComparison
@@ -123,13 +124,13 @@ def comparison_sentences(found: "ModelComparison") -> tuple[str, ...]:
     terms = found.recommended.terms
     if terms:
         more = f" and {len(terms) - _SHOWN_TERMS} more" if len(terms) > _SHOWN_TERMS else ""
-        chosen = count(len(terms), "joint term is", "joint terms are")
+        chosen = counted(len(terms), "joint term is", "joint terms are")
         said.append(f"{chosen} chosen with all rows: {', '.join(terms[:_SHOWN_TERMS])}{more}.")
     if found.recommended is found.best:
         reason = "the least error, and no simpler one is within one standard error of it"
     else:
         reason = f"the simplest within one standard error of the least, that of {found.best.name}"
-    unknown = count(found.recommended.rank, "direction is", "directions are")
+    unknown = counted(found.recommended.rank, "direction is", "directions are")
     return (*said, f"Recommended: {found.recommended.name} ({unknown} determined): {reason}.")
 
 

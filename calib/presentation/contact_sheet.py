@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from calib.foundations.arrays import Array
+from calib.foundations.words import counted
 from calib.presentation.page_files import template
 
 
@@ -31,4 +32,4 @@ def _said(shot: Shot) -> str:
     if shot.left_out:
         return f"left out: {shot.left_out}"
     sigma = f", sigma {float(shot.sigma.mean()):.3f} px" if len(shot.sigma) else ""
-    return f"{len(shot.corners)} corners{sigma}"
+    return f"{counted(len(shot.corners), 'corner')}{sigma}"

@@ -8,9 +8,10 @@ from urllib.parse import quote
 
 import numpy as np
 
+from calib.foundations.words import counted
 from calib.presentation.report.charts import Axis, Mark, Points, chart, logarithmic
 from calib.presentation.report.document import Block, Picture, Prose, Report, Row, Section, Sheet, Tile, Verdict
-from calib.presentation.sheets import SHOWN, count, figure
+from calib.presentation.sheets import SHOWN, figure
 
 Word = Literal["trusted", "not trusted", "failed"]
 _NAMES_BELOW = 13
@@ -72,13 +73,13 @@ def fleet_report(lines: Sequence[JobLine]) -> Report:
     if bad:
         told = tuple(f"{line.name}: {line.word}. {' '.join(line.why)}" for line in bad)
         sections.insert(0, Section("doubts", "Failed, or not to be trusted", (Prose(told, "list"),)))
-    return Report(f"Fleet of {count(len(lines), 'job', 'jobs')}", _verdict(lines), tuple(sections))
+    return Report(f"Fleet of {counted(len(lines), 'job')}", _verdict(lines), tuple(sections))
 
 
 def fleet_sentence(lines: Sequence[JobLine]) -> str:
     """Return how many jobs ended in which way."""
     told = [(w, sum(line.word == w for line in lines)) for w in ("trusted", "not trusted", "failed")]
-    return f"{count(len(lines), 'job', 'jobs')}: {', '.join(f'{n} {word}' for word, n in told if n)}."
+    return f"{counted(len(lines), 'job')}: {', '.join(f'{n} {word}' for word, n in told if n)}."
 
 
 def _verdict(lines: Sequence[JobLine]) -> Verdict:

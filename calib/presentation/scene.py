@@ -18,6 +18,7 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, translation
 from calib.foundations.units import MM
+from calib.foundations.words import counted
 from calib.presentation import viewer
 from calib.presentation.meshes import Rgb, Triangles, balls, creased, joined_by_colour, moved, primitive, sticks
 from calib.presentation.page_files import page_file, template
@@ -491,7 +492,7 @@ def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges
     if n > _MOST_POINTS:
         notes.append(f"{_MOST_POINTS} of the {n} points are drawn, the worst among them; the figures are of all.")
     if missing:
-        shapes = f"{missing} shape{'s' if missing > 1 else ''}"
+        shapes = counted(missing, "shape")
         notes.append(
             f"{missing} shapes are more than the {MOST_SHAPES} that are drawn; there are sticks in their place."
             if missing > MOST_SHAPES

@@ -10,6 +10,7 @@ import numpy as np
 from calib.assessment.metrics import Metrics
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.units import DISPLAY, MICRO, MM, MRAD, Display
+from calib.foundations.words import counted
 from calib.measurement.kinds import UNIT_OF, size
 from calib.presentation.report.document import Row, Sheet
 from calib.robot.terms import KINDS
@@ -225,15 +226,16 @@ def rank_sentences(fit: "Fit") -> tuple[str, ...]:
         return (f"The data determine all {fit.rank} parameters.", *named)
     done = {
         "nearest": "among all equal fits, the machine nearest to the nominal one was taken",
-        "minimal": f"{count(held, 'parameter was', 'parameters were')} held at the nominal value",
+        "minimal": f"{counted(held, 'parameter was', 'parameters were')} held at the nominal value",
     }[fit.policy]
     if any(parameter.prior is not None for parameter in fit.parameters):
         done = f"where priors do not decide, {done}"
     weak_rank = fit.rank - fit.numerical_rank
     too_weak = f", {weak_rank} of them too weakly to use" if weak_rank > 0 else ""
     return (
-        f"The data determine {fit.rank} combinations of {len(fit.parameters) + held} parameters{too_weak}. "
-        f"The null space has {count(size, 'direction', 'directions')}: {done}. "
+        f"The data determine {counted(fit.rank, 'combination')} of {counted(len(fit.parameters) + held, 'parameter')}"
+        f"{too_weak}. "
+        f"The null space has {counted(size, 'direction')}: {done}. "
         f"No prediction at poses like these depends on it.",
         *named,
     )
@@ -262,11 +264,6 @@ def in_urdf_sentences(
     doubt = () if converged else ("The fit of calibrated.urdf did not converge.",)
     best = f"{lacks}: calibrated.urdf is the best geometry without them."
     return (f"{best} On {rows}, base and tool fitted anew, {said}.", *doubt)
-
-
-def count(n: int, one: str, several: str) -> str:
-    """Return a number and what is counted, in the right form."""
-    return f"{n} {one if n == 1 else several}"
 
 
 def correlation(fit: "Fit") -> tuple[IntArray, Array]:

@@ -11,8 +11,7 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from calib.foundations.words import printable
-from calib.presentation import sheets
+from calib.foundations.words import counted, printable
 from calib.presentation.report.document import Row, Sheet
 
 if TYPE_CHECKING:
@@ -106,6 +105,6 @@ def null_space_lines(
     for direction in null_space:
         lines.add_row(" -", Text(printable(str(direction))))
     return [
-        Text(f"The null space has {sheets.count(directions or len(null_space), 'direction', 'directions')}:"),
+        Text(f"The null space has {counted(directions or len(null_space), 'direction')}:"),
         lines,
     ]

@@ -18,7 +18,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
-from calib.foundations.words import listed
+from calib.foundations.words import counted, listed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.deviation import Motions
 from calib.robot.flexures import Mechanism, mechanism
@@ -220,10 +220,10 @@ class Robot:
     setup: str = ""
 
     def __repr__(self) -> str:
-        beside = [f"{len(self.terms)} joint terms"] if self.terms else []
-        beside += [f"{len(self.loops)} closed loops"] if self.loops else []
+        beside = [counted(len(self.terms), "joint term")] if self.terms else []
+        beside += [counted(len(self.loops), "closed loop")] if self.loops else []
         joints = listed([reading.name for reading in self.readings])
-        said = "; ".join([f"{len(self.readings)} joints {joints}", *beside])
+        said = "; ".join([f"{counted(len(self.readings), 'joint')} {joints}", *beside])
         return f"<Robot {self.urdf.where} from {self.base!r} to {self.tip!r}: {said}>"
 
     @checked

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -182,3 +183,18 @@ def test_what_no_pose_would_show_is_one_sentence() -> None:
     )
     # Few directions are told one by one.
     assert told_briefly(model, [data], null_space[:2], every[:2]) == tuple(every[:2])
+
+
+def test_joints_that_follow_others_are_told_beside_the_readings() -> None:
+    """Of the IRB2400 without its loop seven joints carry the tip, and its controller shows six."""
+    robot = calib.load_robot(Path(__file__).parents[2] / "robots/irb2400/irb2400.urdf", tip="tool0")
+    q = np.random.default_rng(0).uniform(-0.5, 0.5, (60, 6))
+    data = calib.positions(robot, q, robot.tips(q)[:, :3, 3], sigma=1e-4)
+    model = calib.error_model(robot, offsets="all", placements="all")
+    null_space = observability(model, [data]).undetermined
+    said = told_briefly(model, [data], null_space, [str(direction) for direction in null_space])
+    assert ": normal for seven revolute joints, moved by six readings, with a free base and tool. No " in said[0]
+    fixed = calib.error_model(robot, offsets="all", placements="all", base="fixed", tool="fixed")
+    null_space = observability(fixed, [data]).undetermined
+    said = told_briefly(fixed, [data], null_space, [str(direction) for direction in null_space])
+    assert ": normal for seven revolute joints, moved by six readings. No " in said[0]

@@ -74,7 +74,7 @@ def test_a_job_of_a_windows_editor(tmp_path: Path) -> None:
         (b'{"a": NaN}', "is not JSON, which has no NaN"),
         (b"[-Infinity]", "is not JSON, which has no -Infinity"),
         (b"[1e400]", "is not JSON that can be read: '1e400' is not a finite number"),
-        (b"9" * 5000, "is not JSON, or is truncated"),
+        (b"9" * 5000, "is not JSON that can be read: it has a number of 5000 digits"),
         (b'{"a": 1', "is not JSON, or is truncated"),
         (b'"\xe4"', "is not JSON, or is truncated"),
         ('{"a": 1}'.encode("utf-16"), "is not JSON, or is truncated"),

@@ -93,7 +93,7 @@ def test_commands_are_corrected(tmp_path: Path) -> None:
     targets.write_text("\n".join([*rows, ""]))
     said = run("compensate", tmp_path / "out", targets, "-o", tmp_path / "corrected.csv")
     assert said.code == 0
-    assert said.out.startswith("1 targets, all can be reached.")
+    assert said.out.startswith("1 target, it can be reached.")
     robot = calib.load_robot(CASE / "arm_cmm.urdf")
     model = calib.load_machine(tmp_path / "out")
     row = (tmp_path / "corrected.csv").read_text().splitlines()[1].split(",")

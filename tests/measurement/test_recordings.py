@@ -191,7 +191,7 @@ def test_an_export_of_motive_has_its_rigid_body(tmp_path: Path) -> None:
     assert sheet.titles == ("time [s]", "x [m]", "y [m]", "z [m]", "qw", "qx", "qy", "qz")
     expected = [[0.0, 1.0, 2.0, 3.0, 0.8, 0, 0, 0.6], [0.016667, 1.1, 2.0, 3.0, 0.8, 0, 0, 0.6]]
     np.testing.assert_allclose(numbers(sheet), expected)
-    assert sheet.remarks == ("the rigid body 'tool' of Motive; 1 frames that lost it are left out",)
+    assert sheet.remarks == ("the rigid body 'tool' of Motive; 1 frame that lost it is left out",)
     with pytest.raises(MeasurementError, match="has no rigid body 'probe'; there are 'tool'"):
         read_sheet(path, "probe")
 

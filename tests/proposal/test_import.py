@@ -258,6 +258,74 @@ def test_what_is_too_wide_is_refused_and_not_cut(folder: Path, monkeypatch: pyte
 
 
 @pytest.mark.parametrize(
+    ("cell", "says"),
+    [
+        ("XFD1048576", "has more than 1000 columns: the last cell of row 1048576 is in column 16384"),
+        ("XFD2", "has more than 1000 columns: the last cell of row 2 is in column 16384"),
+        ("B300000", ""),
+    ],
+)
+def test_a_cell_far_from_the_others_is_read_or_named(folder: Path, cell: str, says: str) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active["A1"], book.active["A2"], book.active[cell] = "x [mm]", 1, 3
+    book.save(folder / "a.xlsx")
+    if says:
+        with pytest.raises(calib.MeasurementError, match=rf"^a.xlsx: {says}\.$"):
+            read_sheet("a.xlsx")
+    else:
+        assert read_sheet("a.xlsx").rows == (("1", ""), ("", "3"))
+
+
+def test_empty_cells_without_end_are_not_looked_at(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    monkeypatch.setattr(workbook, "_MOST_LOOKED_AT", 2000)
+    book = openpyxl.Workbook()
+    for row in range(1, 4):
+        book.active.cell(row, 900).number_format = "0.00"
+    book.save(folder / "a.xlsx")
+    with pytest.raises(calib.MeasurementError, match=r"^a.xlsx: has more than 2000 cells, nearly all of them empty\.$"):
+        read_sheet("a.xlsx")
+
+
+def test_a_formula_far_below_is_no_empty_cell(folder: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active["A1"], book.active["A2"], book.active["A200500"] = "x [mm]", 1, "=A2+1"
+    book.save(folder / "a.xlsx")
+    with pytest.raises(calib.MeasurementError, match=r"^a.xlsx: cell A200500 has a formula that was never computed"):
+        read_sheet("a.xlsx")
+
+
+@pytest.mark.parametrize(("name", "where"), [("a.json", "a.json"), ("a.jsonl", "a.jsonl:1")])
+def test_a_number_of_very_many_digits_is_json(folder: Path, name: str, where: str) -> None:
+    (folder / name).write_text('{"x": ' + 900_000 * "1" + "}")
+    with pytest.raises(calib.MeasurementError) as caught:
+        read_sheet(name)
+    assert str(caught.value) == f"{where}: is not JSON that can be read: it has a number of 900000 digits."
+
+
+def test_an_order_that_was_asked_for_does_not_blame_the_columns(folder: Path) -> None:
+    (folder / "a.csv").write_text("Pose,q\n1,0.1\n2,0.2\n3,0.3\n")
+    (folder / "b.csv").write_text("Name,x\n2,1.5\n1,2.5\n")
+    said = run("import", "a.csv", "b.csv", "--by", "order", "-o", "c.csv")
+    assert said == (1, "", "Error: a.csv has 3 rows and b.csv 2, and in order each row needs one beside it.\n")
+
+
+def test_one_row_is_no_rows(folder: Path) -> None:
+    (folder / "a.json").write_text('[{"x": 1}]')
+    assert run("import", "a.json", "-o", "a.csv").out == "1 row of 1 column is in a.csv.\n"
+    assert run("check", "a.csv").out.startswith("a.csv: 1 row of 1 column.\n")
+
+
+def test_check_of_a_workbook_says_what_to_do(folder: Path) -> None:
+    (folder / "m.xlsx").write_bytes(b"PK\x03\x04" + bytes(100))
+    expected = "Error: m.xlsx: is a workbook, and no text; calib import m.xlsx -o table.csv makes a table.\n"
+    assert run("check", "m.xlsx") == (1, "", expected)
+    assert run("check", UR10, "m.xlsx") == (1, "", expected)
+
+
+@pytest.mark.parametrize(
     ("part", "contents", "says"),
     [
         ("xl/worksheets/sheet1.xml", b"<row/>" * 1_500_000, "unpacks to more than 4 tags for each of its bytes"),

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 
 from calib.foundations.errors import MeasurementError
-from calib.foundations.words import listed, shown
+from calib.foundations.words import counted, listed, shown
 from calib.job.chains import Chain, behind
 from calib.job.foreign.answers import Pick, ask, run_of
 from calib.job.foreign.seen import Seen
@@ -168,7 +168,7 @@ def no_joints(seen: Seen) -> Exception:
         return ask(
             "joints",
             f"{seen.raw.where}: {max(sizes)} columns are numbered, and the arm {run_of(longest)} has "
-            f"{len(longest)} joints",
+            f"{counted(len(longest), 'joint')}",
             (),
             f"--column '{longest[0]} [deg]=TITLE' and so on, or --tip LINK",
         )

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Sequence
 
 from calib.foundations.errors import MeasurementError
-from calib.foundations.words import listed, shown
+from calib.foundations.words import counted, listed, shown
 from calib.measurement.table import COMMANDED
 
 _Rows = tuple[Sequence[str], Sequence[Sequence[str]], str]
@@ -31,7 +31,7 @@ def of_rtde(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> _Rows | Non
     chosen = [number[name] for name in columns]
     left = len(titles) - len(chosen)
     what = "actual_q and target_q" if there else "actual_q"
-    said = f"joint readings of a UR by RTDE, {what}; {left} other columns are left out"
+    said = f"joint readings of a UR by RTDE, {what}; {counted(left, 'other column is', 'other columns are')} left out"
     return named, [[row[k] for k in chosen] for row in rows], said
 
 
@@ -73,8 +73,12 @@ def of_motive(text: str, where: str, body: str | None = None) -> _Rows:
     rows = [[line[k] for k in chosen] for line in lines[begin:] if len(line) > max(chosen)]
     seen = [row for row in rows if all(_NUMBER.fullmatch(cell.strip()) for cell in row)]
     titles = ("time [s]", *(f"{axis} [{unit}]" for axis in "xyz"), *(("qw", "qx", "qy", "qz") if turns else ()))
-    lost = len(rows) - len(seen)
-    return titles, seen, f"the rigid body {own!r} of Motive; {lost} frames that lost it are left out"
+    frames = counted(len(rows) - len(seen), "frame that lost it is", "frames that lost it are")
+    return (
+        titles,
+        seen,
+        f"the rigid body {own!r} of Motive; {frames} left out",
+    )
 
 
 def _header(lines: Sequence[Sequence[str]], where: str) -> tuple[list[str], ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED, read_bytes, sentences
-from calib.foundations.words import listed, near, shown
+from calib.foundations.words import counted, listed, near, shown
 from calib.measurement.formats.sheet import Sheet
 from calib.measurement.formats.unpacking import limited
 from calib.measurement.formats.yaml_events import trouble
@@ -100,7 +100,7 @@ def _joint_rows(told: list[tuple[float, str, Any]]) -> tuple[tuple[str, ...], li
     rows = [[time, *map(float, position)] for time, own, position in found if own == names]
     remarks = ["joints that slide are in m: change the unit of their columns"]
     if many < len(told):
-        remarks.append(f"{len(told) - many} messages are of other joints, or have no positions, and are left out")
+        remarks.append(f"{counted(len(told) - many, 'message')} of other joints, or without positions, left out")
     return ("time [s]", *(f"{name} [rad]" for name in names)), rows, remarks
 
 
@@ -112,7 +112,7 @@ def _point_rows(told: list[tuple[float, str, Any]]) -> tuple[tuple[str, ...], li
         if p is not None:
             rows.append([time, float(p.x), float(p.y), float(p.z), *((q.w, q.x, q.y, q.z) if turned and q else ())])
     titles = ("time [s]", "x [m]", "y [m]", "z [m]")
-    rest = [] if len(rows) == len(told) else [f"{len(told) - len(rows)} messages have no point and are left out"]
+    rest = [] if len(rows) == len(told) else [f"{counted(len(told) - len(rows), 'message')} without a point left out"]
     return (*titles, "qw", "qx", "qy", "qz") if turned else titles, rows, rest
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from calib.foundations.csv_text import text_of
 from calib.foundations.errors import MeasurementError
-from calib.foundations.json_text import TwiceError, unique_names
+from calib.foundations.json_text import UnreadableError, unique_names, whole_number
 from calib.foundations.words import shown
 from calib.measurement.formats.yaml_events import read_yaml
 
@@ -65,8 +65,8 @@ def _text(data: bytes, where: str) -> str:
 
 def _loaded(text: str, where: str) -> Any:
     try:
-        return json.loads(text, object_pairs_hook=unique_names)
-    except TwiceError as e:
+        return json.loads(text, parse_int=whole_number, object_pairs_hook=unique_names)
+    except UnreadableError as e:
         raise MeasurementError(f"{where}: is not JSON that can be read: {e}.") from e
     except (ValueError, RecursionError) as e:
         raise MeasurementError(f"{where}: is not JSON.") from e

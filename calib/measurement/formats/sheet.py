@@ -8,7 +8,7 @@ from pathlib import Path
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
-from calib.foundations.words import listed, shown
+from calib.foundations.words import counted, listed, shown
 from calib.measurement.cells import cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats import arrays, logs, records, workbook
 from calib.measurement.layout import is_number, layout
@@ -120,7 +120,7 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
     come once and are those of the other; more than one such way, or none and other numbers of rows, is refused.
     """
     if by == "order":
-        return _in_order(first, second)
+        return _in_order(first, second, "in order each row needs one beside it")
     own, other = _naming(first), _naming(second)
     ways = [
         (a, b)
@@ -139,14 +139,18 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
             raise MeasurementError(
                 f"{first.where}, {second.where}: {shown(by)} does not name each row of both tables exactly once."
             )
-        return _in_order(first, second)
+        return _in_order(first, second, "no column tells which rows belong together")
     a, b = ways[0]
     pairs = _partners(first, a, second, b)
     rest = [k for k in range(len(second.titles)) if k != b]
     rows = tuple((*first.rows[i], *(second.rows[j][k] for k in rest)) for i, j in pairs)
-    said = [f"{len(rows)} rows joined by {first.titles[a]!r} and {second.titles[b]!r}"]
+    said = [f"{counted(len(rows), 'row')} joined by {first.titles[a]!r} and {second.titles[b]!r}"]
     said += [
-        f"{len(sheet.rows) - len(rows)} rows of {sheet.where} have no partner and are left out"
+        counted(
+            len(sheet.rows) - len(rows),
+            f"row of {sheet.where} has no partner and is left out",
+            f"rows of {sheet.where} have no partner and are left out",
+        )
         for sheet in (first, second)
         if len(sheet.rows) > len(rows)
     ]
@@ -154,14 +158,13 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
     return Sheet(titles, rows, first.where, (*first.remarks, *second.remarks, *said))
 
 
-def _in_order(first: Sheet, second: Sheet) -> Sheet:
+def _in_order(first: Sheet, second: Sheet, refused: str) -> Sheet:
     if len(first.rows) != len(second.rows):
         raise MeasurementError(
-            f"{first.where} has {len(first.rows)} rows and {second.where} {len(second.rows)}, and no column tells "
-            "which rows belong together."
+            f"{first.where} has {counted(len(first.rows), 'row')} and {second.where} {len(second.rows)}, and {refused}."
         )
     rows = tuple((*a, *b) for a, b in zip(first.rows, second.rows, strict=True))
-    said = f"{len(rows)} rows joined in their order"
+    said = f"{counted(len(rows), 'row')} joined in their order"
     return Sheet(_apart(first.titles, second.titles), rows, first.where, (*first.remarks, *second.remarks, said))
 
 
@@ -186,7 +189,7 @@ def stacked(sheets: Sequence[Sheet], title: str) -> Sheet:
         if names.count(name) > 1:
             raise MeasurementError(f"{sheet.where}: another file is called {shown(name)} too; give each its own name.")
     rows = tuple((*row, name) for sheet, name in zip(sheets, names, strict=True) for row in sheet.rows)
-    said = f"{len(sheets)} files one below the other; {title!r} is the name of each"
+    said = f"{counted(len(sheets), 'file')} one below the other; {title!r} is the name of each"
     remarks = [remark for sheet in sheets for remark in sheet.remarks]
     return Sheet((*first.titles, title), rows, first.where, (*dict.fromkeys(remarks), said))
 

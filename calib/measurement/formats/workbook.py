@@ -18,6 +18,8 @@ _LARGEST = 200_000_000
 _MOST_PER_BYTE, _LEAST = 50, 50_000_000
 _MOST_TAGS_PER_BYTE, _LEAST_TAGS = 4, 500_000
 _MOST_ROWS, _MOST_COLUMNS, _MOST_VALUES = 200_000, 1000, 5_000_000
+# With the empty cells before the last one of a row. A file may leave them out; written out they have 10 bytes each.
+_MOST_LOOKED_AT = 20_000_000
 
 
 def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
@@ -78,8 +80,12 @@ def _refuse_bombs(archive: zipfile.ZipFile, size: int, where: str) -> None:
 def _rows(sheet: Any, where: str) -> list[list[str]]:
     """Return the rows of a sheet that are not empty, each up to its last cell that is not."""
     rows: list[list[str]] = []
-    width = 0
-    for row in sheet.iter_rows(max_row=_MOST_ROWS + 1, max_col=_MOST_COLUMNS + 1, values_only=True):
+    width = looked_at = 0
+    sheet.reset_dimensions()  # what a file says of its size may be less than it holds, or far more
+    for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
+        looked_at += len(row)
+        if looked_at > _MOST_LOOKED_AT:
+            raise MeasurementError(f"{where}: has more than {_MOST_LOOKED_AT} cells, nearly all of them empty.")
         if row.count(None) == len(row):  # of rows that are left out there may be many
             continue
         cells = [_cell(value) for value in row]
@@ -89,7 +95,9 @@ def _rows(sheet: Any, where: str) -> list[list[str]]:
             rows.append(cells)
             width = max(width, len(cells))
         if width > _MOST_COLUMNS:
-            raise MeasurementError(f"{where}: has more than {_MOST_COLUMNS} columns.")
+            raise MeasurementError(
+                f"{where}: has more than {_MOST_COLUMNS} columns: the last cell of row {number} is in column {width}."
+            )
         if len(rows) > _MOST_ROWS:
             raise MeasurementError(f"{where}: has more than {_MOST_ROWS} rows.")
         if width * len(rows) > _MOST_VALUES:
@@ -101,9 +109,10 @@ def _uncomputed(openpyxl: Any, data: bytes, shown: int) -> str:
     """Return the first cell of a sheet with a formula and no value, "" where there is none."""
     books = [openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=only) for only in (False, True)]
     try:
-        # Without a width a row that is left out has no cells.
-        sheets = (b.worksheets[shown].iter_rows(max_row=_MOST_ROWS) for b in books)
-        for row in zip(*sheets, strict=True):
+        sheets = [book.worksheets[shown] for book in books]
+        for sheet in sheets:
+            sheet.reset_dimensions()  # so that a row that is left out has no cells
+        for row in zip(*(sheet.iter_rows() for sheet in sheets), strict=True):
             for formula, computed in zip(*row, strict=True):
                 if formula.data_type == "f" and computed.value is None:
                     return str(formula.coordinate)

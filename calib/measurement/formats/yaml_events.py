@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from calib.foundations.errors import CalibError
-from calib.foundations.json_text import TwiceError
+from calib.foundations.json_text import UnreadableError
 from calib.foundations.words import shown
 
 # Deeper than any file that we read; PyYAML's builder in C ends the process at some ten thousand.
@@ -25,7 +25,7 @@ def read_yaml(text: str, where: str, error: type[CalibError], build: Callable[[A
         if (wrong := trouble(yaml.parse(text, loader))) is None:
             return build(yaml, text, loader)
     except (yaml.YAMLError, RecursionError, ValueError, TypeError, KeyError, AttributeError) as e:
-        twice = f": {e}" if isinstance(e, TwiceError) else ""
+        twice = f": {e}" if isinstance(e, UnreadableError) else ""
         raise error(f"{where}: is no YAML that can be read{twice}.") from e
     raise error(f"{where}: {wrong}.")
 

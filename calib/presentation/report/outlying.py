@@ -1,8 +1,9 @@
 """The part of a report on rows, targets and groups that do not go with the rest."""
 
 from calib.assessment.outliers import Outliers
+from calib.foundations.words import counted
 from calib.presentation.report.document import Block, Prose, Section, Sheet
-from calib.presentation.sheets import SHOWN, count
+from calib.presentation.sheets import SHOWN
 
 _MOST_ROWS = 10
 _MOST_GROUPS = 3
@@ -33,7 +34,7 @@ def outlier_section(found: Outliers) -> Section:
     )
     blocks: list[Block] = [sheet]
     if len(told) > _MOST_ROWS:
-        blocks.append(Prose((f"And {count(len(told) - _MOST_ROWS, 'row', 'rows')} more.",), brief=True))
+        blocks.append(Prose((f"And {counted(len(told) - _MOST_ROWS, 'row')} more.",), brief=True))
     if found.moved:
         blocks.append(Prose(_moved(found), brief=True))
     if found.disagreeing:
@@ -67,4 +68,4 @@ def _disagreeing(found: Outliers) -> tuple[str, ...]:
             f"{group.scatter:.2f} times as much."
         )
     more = len(found.disagreeing) - _MOST_GROUPS
-    return (*sentences, *([f"{count(more, 'group', 'groups')} more disagree."] if more > 0 else []))
+    return (*sentences, *([f"{counted(more, 'group')} more disagree."] if more > 0 else []))

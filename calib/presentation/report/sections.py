@@ -12,6 +12,7 @@ from calib.assessment.advice import told_briefly
 from calib.assessment.judged import Check, JudgedSet, Use
 from calib.assessment.metrics import Metrics, error_norms
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.words import counted
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NUMERICAL_TOLERANCE
 from calib.identification.total_differential import Trace
@@ -294,7 +295,7 @@ def correlations(fit: Fit) -> Section | None:
     high = sum(abs(r[ij]) > 0.9 for ij in pairs)
     i, j = strongest[0]
     said = (
-        f"Of {sheets.count(len(pairs), 'pair', 'pairs')} {high} correlate by more than 0.9; the strongest is "
+        f"Of {counted(len(pairs), 'pair')} {high} correlate by more than 0.9; the strongest is "
         f"{names[i]} with {names[j]}, {sheets.signed(r[i, j], 3)}. Blue is positive, orange negative."
     )
     # Of sixty parameters nobody reads a square each: those that correlate most, in the order of all.
