@@ -31,12 +31,13 @@ def board(
     "urdf-calib[vision]". Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
     with loading():
-        from calib.foundations.folders import write_folder
+        from calib.foundations.folders import refuse_unwritable, write_folder
         from calib.foundations.ranges import RANGES, parse_within
         from calib.job.read import board_toml
         from calib.measurement.formats.images import marker_bits
         from calib.measurement.prints import Print
         from calib.presentation.printed_board import drawing, pdf, svg
+    refuse_unwritable(out)
     allowed, with_markers = RANGES["square, marker"], kind != "chessboard"
     if not with_markers:
         given = {"--marker": marker != _MARKER, "--dictionary": dictionary != _DICTIONARY}

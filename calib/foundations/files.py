@@ -37,9 +37,12 @@ def read_bytes(path: Path, error: type[CalibError], largest: int = LARGEST_INPUT
     opened; nor waited for, if it took the file's place since.
     """
     with sentences(path, error):
-        if not path.exists():
-            raise error(f"{path}: there is no such file.")
-        if not path.is_file():
+        # Not by path.exists(), which takes links in a circle for nothing at all.
+        try:
+            found = path.stat()
+        except (FileNotFoundError, NotADirectoryError) as e:
+            raise error(f"{path}: there is no such file.") from e
+        if not stat.S_ISREG(found.st_mode):
             raise error(f"{path}: is not a regular file.")
         return _contents(os.open(path, _READ), path, error, largest)
 

@@ -27,8 +27,14 @@ def test_read_bytes(tmp_path: Path) -> None:
     path.write_bytes(b"abc")
     assert read_bytes(path, JobError) == b"abc"
     os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "dead").symlink_to("b")
     for bad, sentence in (
         (tmp_path / "b", "there is no such file."),
+        (tmp_path / "dead", "there is no such file."),
+        (path / "b", "there is no such file."),
+        (tmp_path / "loop", "cannot be read (Too many levels of symbolic links)."),
+        (tmp_path / "loop" / "b", "cannot be read (Too many levels of symbolic links)."),
         (tmp_path, "is not a regular file."),
         (tmp_path / "fifo", "is not a regular file."),
         (tmp_path / ("n" * 300), "cannot be read (File name too long)."),

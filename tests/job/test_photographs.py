@@ -291,3 +291,14 @@ def test_boards_that_cannot_be_are_refused(tmp_path: Path, arguments: tuple[str,
     said = run("board", "-o", tmp_path / "board", *arguments)
     assert (said.code, says in said.err) == (1, True), said.err
     assert not (tmp_path / "board").exists()
+
+
+def test_a_board_below_a_file_is_refused_as_other_results_are(tmp_path: Path) -> None:
+    file = tmp_path / "notes.txt"
+    file.write_text("mine")
+    said = run("board", "-o", file / "board", "--kind", "chessboard", "--squares", "8x5")
+    assert (said.code, " ".join(said.err.split())) == (
+        1,
+        f"Error: {file / 'board'}: cannot be made, as {file} is a file.",
+    )
+    assert file.read_text() == "mine"
