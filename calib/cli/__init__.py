@@ -13,7 +13,7 @@ import typer
 
 import calib
 from calib.cli.application import BAD_INPUT, INTERRUPTED, app
-from calib.foundations.errors import CalibError
+from calib.foundations.errors import LITTLE_MEMORY, CalibError
 
 # In the order in which the help lists their commands.
 from calib.cli import init as init  # isort: skip
@@ -61,7 +61,7 @@ def main() -> None:
         # A library for which there is no room cannot be loaded.
         if isinstance(error, ImportError) and "failed to map segment" not in str(error):
             raise
-        sys.stderr.write("Error: The memory that this process may use does not suffice; see ulimit -v.\n")
+        sys.stderr.write(f"Error: {LITTLE_MEMORY}\n")
         sys.exit(BAD_INPUT)
     except OSError as error:
         # Of --help and --version, which are written by others.

@@ -14,6 +14,7 @@ if TYPE_CHECKING:  # whoever only names an error, such as a command's help, load
     import numpy.typing as npt
 
 
+LITTLE_MEMORY = "The memory that this process may use does not suffice; see ulimit -v."
 _LONGEST_WORD, _LONGEST = 400, 2000
 _LONG_WORD = re.compile(rf"\S{{{_LONGEST_WORD},}}")
 

@@ -12,7 +12,7 @@ import scipy
 from threadpoolctl import ThreadpoolController
 
 from calib.foundations.arrays import Array
-from calib.foundations.errors import CalibError
+from calib.foundations.errors import LITTLE_MEMORY, CalibError
 
 # A condition estimated in sums of columns is off by at most the number of columns, and by little else.
 _SURELY = 100.0
@@ -98,4 +98,4 @@ def _refuse_little_memory() -> None:
     try:
         mmap.mmap(-1, _SET_ASIDE).close()
     except OSError as e:
-        raise CalibError("The memory that this process may use does not suffice; see ulimit -v.") from e
+        raise CalibError(LITTLE_MEMORY) from e
