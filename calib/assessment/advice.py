@@ -13,7 +13,7 @@ import numpy as np
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.units import DISPLAY, MRAD
-from calib.foundations.words import counted
+from calib.foundations.words import noun
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NullDirection
@@ -151,7 +151,7 @@ def _joints(model: ErrorModel) -> str:
 
 
 def _in_words(count: int, one: str) -> str:
-    return counted(count, one).replace(str(count), _NUMBERS.get(count, str(count)), 1)
+    return f"{_NUMBERS.get(count, str(count))} {noun(count, one)}"
 
 
 def _of_direction(direction: NullDirection, remedies: Sequence[str]) -> Advice:

@@ -1,7 +1,7 @@
 """Other people's words in messages: quoted, cut, and the known ones that are near."""
 
 import difflib
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 
 from calib.foundations.errors import CalibError, JobError
 
@@ -23,7 +23,18 @@ def shown(text: str) -> str:
 
 def counted(count: int, one: str, several: str = "") -> str:
     """Return how many there are: "1 row", "2 rows". ``several``: where it is not ``one`` with s."""
-    return f"{count} {one if count == 1 else several or one + 's'}"
+    return f"{count} {noun(count, one, several)}"
+
+
+def noun(count: int, one: str, several: str = "") -> str:
+    """Return the word for so many, as :func:`counted` has it behind the number."""
+    return one if count == 1 else several or one + "s"
+
+
+def first_of(texts: Sequence[str], most: int = 12, more: str = "{} more") -> list[str]:
+    """Return the first texts, and last how many ``more`` there are."""
+    left = len(texts) - most
+    return list(texts) if left <= 0 else [*texts[:most], more.format(left)]
 
 
 def listed(names: Collection[str], most: int = 12) -> str:

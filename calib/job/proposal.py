@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from calib.foundations.brief import brief
+from calib.foundations.words import first_of
 from calib.job.toml_text import seen_from, toml_text
 from calib.measurement.kinds import Kind
 from calib.measurement.table import Columns
 from calib.robot.robot import Robot
 
 About = Literal["tip", "joints", "angles", "lengths", "position", "orientation", "observes", "setup", "columns"]
-# Of the answers to choose from, in one sentence.
-_MOST_SHOWN = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +29,8 @@ class Question:
     @property
     def sentence(self) -> str:
         """The question with the option that answers it."""
-        shown = [f"{self.option} {choice}" for choice in self.choices[:_MOST_SHOWN]] or [self.option]
-        more = len(self.choices) - _MOST_SHOWN
-        how = " or ".join(shown if more <= 0 else [*shown, f"one of {more} more"])
-        return f"{self.text}; answer by {how}."
+        how = " or ".join(first_of([f"{self.option} {choice}" for choice in self.choices], more="one of {} more"))
+        return f"{self.text}; answer by {how or self.option}."
 
     def answered(self, choice: str) -> dict[str, Any]:
         """Return one of the choices as an argument of :func:`calib.measuring.propose`."""

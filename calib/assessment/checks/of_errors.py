@@ -129,7 +129,7 @@ def prediction(fit: Fit, machine: CalibratedMachine, held_out: Sequence[JudgedSe
     """Whether errors of rows held out are about as large as the fit says that they should be, or small."""
     robust = any(loss != "linear" for loss in fit.losses)
     # Parameters from rows that go together are that much less sure; of rows of a pose the uncertainty knows it.
-    together = 1.0 + 2.0 * memory(_by_pose(fit))
+    together = 1.0 + 2.0 * memory(_means_of_poses(fit))
     worst, limit, said = NOTHING, PREDICTED, "No rows were held out."
     for one in held_out:
         for quantity in QUANTITIES[one.data.kind]:
@@ -157,7 +157,7 @@ def prediction(fit: Fit, machine: CalibratedMachine, held_out: Sequence[JudgedSe
     return Check.of("prediction", worst, limit, not worst > limit, said)
 
 
-def _by_pose(fit: Fit) -> list[Array]:
+def _means_of_poses(fit: Fit) -> list[Array]:
     """Return the residuals (n, d) of every set; means of poses, as these follow each other, where rows err together."""
     again = {one.measurements for one in fit.repeats}
 

@@ -14,9 +14,6 @@ from calib.measurement.roles import Joints, Orientation, Point
 from calib.measurement.table import Columns
 from calib.robot.robot import Robot
 
-# Of columns that may be meant, in one sentence.
-_MOST_NAMED = 12
-
 
 @dataclass(frozen=True, slots=True)
 class Answers:
@@ -97,12 +94,6 @@ def run_of(names: Sequence[str]) -> str:
     if len(names) > 4:
         return f"{names[0]} to {names[-1]}"
     return ", ".join(names)
-
-
-def few_of(names: Sequence[str], between: str) -> str:
-    """Return names as a sentence has them, with how many more there are than it can have."""
-    more = len(names) - _MOST_NAMED
-    return between.join(names if more <= 0 else [*names[:_MOST_NAMED], f"{more} more"])
 
 
 def values_of(column: RawColumn) -> Array:

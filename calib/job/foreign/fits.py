@@ -8,8 +8,9 @@ import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.units import MM, UNITS
+from calib.foundations.words import first_of
 from calib.identification.followed import FEWEST_ROWS, Followed, followed
-from calib.job.foreign.answers import AskedError, Pick, Trial, ask, few_of, of_dimension, run_of, values_of
+from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension, run_of, values_of
 from calib.job.foreign.seen import Seen
 from calib.job.proposal import About
 from calib.measurement.raw import RawColumn
@@ -162,11 +163,11 @@ def _of_the_same_joints(seen: Seen, rivals: Sequence[Trial]) -> list[Trial]:
         return [t for t in rivals if t.pick.joints.exact]
     chosen = _by_rank(seen, ranks)
     if chosen is None:
-        first_of = rivals[0].pick.arm.joints[0]
+        first_joint = rivals[0].pick.arm.joints[0]
         raise ask(
             "joints",
-            f"{seen.raw.where}: {few_of(sorted(map(seen.titles, ranks)), ' and ')} fit the joints equally well",
-            [f"'{first_of}={seen.raw.columns[one[0]].title}'" for one in sorted(ranks)],
+            f"{seen.raw.where}: {' and '.join(first_of(sorted(map(seen.titles, ranks))))} fit the joints equally well",
+            [f"'{first_joint}={seen.raw.columns[one[0]].title}'" for one in sorted(ranks)],
             "--column",
         )
     return [t for t in rivals if t.pick.joints.columns == chosen]
@@ -193,7 +194,7 @@ def _point_question(seen: Seen, found: Iterable[Point]) -> AskedError:
     columns = sorted({one.columns for one in found})
     return ask(
         "position",
-        f"{seen.raw.where}: which columns were measured, {few_of([*map(seen.titles, columns)], ' or ')}?",
+        f"{seen.raw.where}: which columns were measured, {' or '.join(first_of([*map(seen.titles, columns)]))}?",
         [f"'x={seen.raw.columns[one[0]].title}'" for one in columns],
         "--column",
     )
