@@ -218,9 +218,11 @@ def _common_readings(old: CalibratedMachine, new: CalibratedMachine, seed: int) 
     # Where the two have no range in common, that of the new one.
     apart = (low > high)[:, None]
     limits = np.where(apart, after, np.stack([low, high], axis=1))
-    rooms = [room for room in (old.known_uncertainty.room, new.known_uncertainty.room) if room is not None]
-    room = max(rooms, key=abs) if len({room > 0.0 for room in rooms}) == 1 else None
-    return random_readings(old.robot, _SAMPLES, limits, (old.deviations, new.deviations), room=room, seed=seed)
+    known = (machine.known_uncertainty.closure_determinant for machine in (old, new))
+    determinants = [one for one in known if one is not None]
+    nearest = max(determinants, key=abs) if len({one > 0.0 for one in determinants}) == 1 else None
+    machines = (old.deviations, new.deviations)
+    return random_readings(old.robot, _SAMPLES, limits, machines, determinant=nearest, seed=seed)
 
 
 def _by_entry(machine: CalibratedMachine, readings: Array, count: int) -> Array:

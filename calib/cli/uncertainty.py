@@ -45,7 +45,7 @@ def uncertainty(
             samples,
             tool=tool,
             limits=None if whole else machine.known_uncertainty.identified,
-            room=None if whole else machine.known_uncertainty.room,
+            closure_determinant=None if whole else machine.known_uncertainty.closure_determinant,
             progress=lambda done, of: say(f"{done} of {of} poses"),
         )
     budget = rms_by_cause(found.budget)

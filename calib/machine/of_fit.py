@@ -22,7 +22,7 @@ from calib.machine.uncertainty import NoiseLevel, Uncertainty
 from calib.measurement.kinds import UNIT_OF
 from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.robot.joint_terms import in_setup
-from calib.robot.sampling import least_room
+from calib.robot.sampling import least_determinant
 
 # Directions of the covariance below this share of the largest are rounding.
 _ROUNDING = 1e-12
@@ -83,15 +83,15 @@ def _uncertainty(fit: Fit) -> Uncertainty:
         _level(fit, errors, "m"),
         _level(fit, errors, "rad"),
         read_only(identified),
-        _room(fit),
+        _closure_determinant(fit),
     )
 
 
-def _room(fit: Fit) -> float | None:
+def _closure_determinant(fit: Fit) -> float | None:
     """Return how near the loops came to a dead centre in the rows that tell where all joints stood, terms left out."""
     rows = [end.readings for data in fit.measurements if not data.absent for end in data.ends]
     plain = replace(fit.deviations, terms=np.zeros_like(fit.deviations.terms))
-    return least_room(fit.robot, plain, np.concatenate(rows)) if rows else None
+    return least_determinant(fit.robot, plain, np.concatenate(rows)) if rows else None
 
 
 def measured_factor(fit: Fit) -> Array:

@@ -276,18 +276,20 @@ def uncertainty_map(
     *,
     tool: str = "tool",
     limits: Array | None = None,
-    room: float | None = None,
+    closure_determinant: float | None = None,
     base: bool = True,
     seed: int = 0,
     progress: Callable[[int, int], None] = lambda _done, _of: None,
 ) -> UncertaintyMap:
     """Return a map of the tool's standard deviations, over ``limits`` (nr, 2) or, when None, the joints' limits.
 
-    Joints without limits turn once. ``room``: how near loops may come to a dead centre, as
-    :attr:`Uncertainty.room` has it; all poses in which they close when None. ``progress`` is told
-    how many of how many are done.
+    Joints without limits turn once. ``closure_determinant``: how near loops may come to a dead centre, as
+    :class:`Uncertainty` has it; all poses in which they close when None. ``progress`` is told how many of how many are
+    done.
     """
-    readings = random_readings(machine.robot, samples, limits, (machine.deviations,), room=room, seed=seed)
+    readings = random_readings(
+        machine.robot, samples, limits, (machine.deviations,), determinant=closure_determinant, seed=seed
+    )
     view = _View(machine.of(machine.tool_named(tool)), tool, base=base, tool_pose=True)
     errors, found = _Errors(view, machine.known_uncertainty), list[ToolUncertainty]()
     for chunk in np.array_split(readings, max(samples // _BLOCK, 1)):

@@ -64,8 +64,8 @@ class Uncertainty:
     do to the state has to be set against what they do to the tool; None where that is not known. ``null_basis`` (n, k):
     changes of the state in the null space, each one parameter scale long. ``position`` and ``orientation``: the noise
     of lengths and of angles, None where none was measured. ``identified`` (nr, 2): least and greatest of every reading
-    in the data. ``room``: how near loops came to a dead centre there; None
-    without loops, or where it is not known.
+    in the data. ``closure_determinant``: how near loops came to a dead centre there, where it is 0; None without
+    loops, or where it is not known.
     """
 
     factor: Array
@@ -75,7 +75,7 @@ class Uncertainty:
     position: NoiseLevel | None
     orientation: NoiseLevel | None
     identified: Array
-    room: float | None = None
+    closure_determinant: float | None = None
 
     @property
     def shown(self) -> Array:

@@ -73,7 +73,7 @@ class UncertaintyFile(Strict):
     orientation: NoiseEntry | None
     causes: dict[Literal["instrument", "parameters", "model"], Annotated[int, Field(ge=0)]] | None = None
     waves: WavesEntry | None = None
-    room: _Number | None = None
+    closure_determinant: _Number | None = None
     factor: tuple[tuple[_Number, ...], ...]
     null_basis: tuple[tuple[_Number, ...], ...]
 
@@ -89,7 +89,7 @@ def uncertainty_json(uncertainty: Uncertainty, robot: Robot) -> str:
         "orientation": _plain(uncertainty.orientation),
         "causes": dict(zip(CAUSES, uncertainty.causes, strict=False)),
         "waves": _plain_waves(uncertainty.waves, names),
-        **({} if uncertainty.room is None else {"room": uncertainty.room}),
+        **({} if uncertainty.closure_determinant is None else {"closure_determinant": uncertainty.closure_determinant}),
     }
     lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries.items()]
     for key, matrix in (("factor", uncertainty.factor), ("null_basis", uncertainty.null_basis)):
@@ -158,7 +158,7 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
         None if found.position is None else found.position.level,
         None if found.orientation is None else found.orientation.level,
         read_only([found.identified[name] for name in names]),
-        found.room,
+        found.closure_determinant,
     )
 
 

@@ -128,10 +128,10 @@ class Closure:
         found[left], open_[left] = q, self._open(q, still)
         return found, dead, open_
 
-    def rooms(self, q: Array) -> Array:
-        """Return how far (N,) closed positions q (N, nj) are from a dead centre; its two sides differ in sign.
+    def determinants(self, q: Array) -> Array:
+        """Return the determinants (N,) of the closure by the passive joints, at closed positions q (N, nj).
 
-        It is the determinant of the closure, to be compared with itself alone: a dead centre has none.
+        Each is 0 at a dead centre, whose two sides differ in sign, and to be compared with its own kind alone.
         """
         return np.asarray(np.linalg.det(self._gaps(q, self._still(q))[1]))
 

@@ -464,12 +464,12 @@ class TipModel:
             return np.ones(len(readings), dtype=bool)
         return self._closure.closes(self._coupled(readings, conditions))
 
-    def rooms(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array | None:
-        """Return how far (N,) the loops are from a dead centre at readings (N, nr), as :meth:`Closure.rooms`.
+    def determinants(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array | None:
+        """Return the determinants of closure (N,) at readings (N, nr), as :meth:`Closure.determinants`.
 
         None where there is no loop. Raises as :meth:`joint_positions` does.
         """
-        return None if self._closure is None else self._closure.rooms(self._positions(readings, conditions))
+        return None if self._closure is None else self._closure.determinants(self._positions(readings, conditions))
 
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr)."""

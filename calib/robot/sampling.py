@@ -14,7 +14,8 @@ from calib.robot.robot import Deviations, Robot, TipModel
 # Hardly any pose: fewer than one in so many, when so many were tried.
 _RARELY = 200
 _ENOUGH = 1000
-# Machines that differ by their errors differ in room as well; where joints stood still, all rows have the least one.
+# Machines that differ by their errors differ in the determinant of closure as well; where joints
+# stood still, all rows have the least one.
 _SLACK = 0.9
 
 
@@ -37,29 +38,32 @@ def closing(robot: Robot, readings: Array, machines: Sequence[Deviations | None]
     return _closing([TipModel(robot, deviations) for deviations in machines] if robot.loops else [], readings)
 
 
-def _closing(models: Sequence[TipModel], readings: Array, room: float | None = None) -> BoolArray:
+def _closing(models: Sequence[TipModel], readings: Array, determinant: float | None = None) -> BoolArray:
     found = np.ones(len(readings), dtype=bool)
     for model in models:
         rows = np.flatnonzero(found)
         found[rows] = model.closes(readings[rows], ordinary(readings[rows]))
         rows = np.flatnonzero(found)
-        if room is not None and (own := model.rooms(readings[rows], ordinary(readings[rows]))) is not None:
-            found[rows] = own * np.sign(room) >= _SLACK * abs(room)
+        if (
+            determinant is not None
+            and (own := model.determinants(readings[rows], ordinary(readings[rows]))) is not None
+        ):
+            found[rows] = own * np.sign(determinant) >= _SLACK * abs(determinant)
     return found
 
 
-def least_room(robot: Robot, deviations: Deviations, readings: Array) -> float | None:
-    """Return how near the loops come to a dead centre at readings (N, nr), with the sign of the side that they are on.
+def least_determinant(robot: Robot, deviations: Deviations, readings: Array) -> float | None:
+    """Return the determinant of closure nearest to 0, a dead centre, at readings (N, nr): its sign tells the side.
 
     None without loops, where no row closes, or where rows are on both sides.
     """
     if not robot.loops:
         return None
     there = readings[closing(robot, readings, (deviations,))]
-    rooms = TipModel(robot, deviations).rooms(there, ordinary(there))
-    if rooms is None or not (len(rooms) and (np.all(rooms > 0.0) or np.all(rooms < 0.0))):
+    determinants = TipModel(robot, deviations).determinants(there, ordinary(there))
+    if determinants is None or not (len(determinants) and (np.all(determinants > 0.0) or np.all(determinants < 0.0))):
         return None
-    return float(rooms[np.argmin(np.abs(rooms))])
+    return float(determinants[np.argmin(np.abs(determinants))])
 
 
 def random_readings(
@@ -68,13 +72,14 @@ def random_readings(
     limits: Array | None = None,
     machines: Sequence[Deviations | None] = (None,),
     *,
-    room: float | None = None,
+    determinant: float | None = None,
     seed: int = 0,
 ) -> Array:
     """Return random readings (count, nr), uniform over ``limits`` (nr, 2), those of the joints when None.
 
-    Readings where a loop of one of the machines does not close are drawn again, and with ``room`` those where it is
-    nearer to a dead centre than that, or beyond (:func:`least_room`); raises RobotError when hardly any are left.
+    Readings where a loop of one of the machines does not close are drawn again, and with a ``determinant`` those
+    where it is nearer to a dead centre than that, or beyond (:func:`least_determinant`); raises RobotError when hardly
+    any are left.
     """
     bounds = joint_limits(robot) if limits is None else limits
     width = len(robot.readings)
@@ -92,7 +97,7 @@ def random_readings(
         # No more are looked at than are lacking.
         while len(drawn):
             part, drawn = np.split(drawn, [count - len(found)])
-            found = np.concatenate([found, part[_closing(models, part, room)]])
+            found = np.concatenate([found, part[_closing(models, part, determinant)]])
             if len(found) == count:
                 return found
     raise RobotError(f"{robot.urdf.where}: its loops close in hardly any pose within the limits of its joints.")

@@ -39,18 +39,18 @@ def test_the_machine_is_judged_where_its_parallelogram_was_as_open_as_when_it_wa
     assert np.degrees(np.abs(readings[:, 2] - readings[:, 1])).max() < 64.0
     assert found.lost < 0.5 * found.before < 0.5e-3
     known = model.known_uncertainty
-    for room, sure in ((known.room, True), (None, False)):
-        spread = calib.judging.uncertainty_map(model, 300, limits=known.identified, room=room)
+    for nearest, sure in ((known.closure_determinant, True), (None, False)):
+        spread = calib.judging.uncertainty_map(model, 300, limits=known.identified, closure_determinant=nearest)
         assert bool(spread.sigmas[:, 0].max() < 0.2e-3) is sure
 
 
 def test_results_that_do_not_tell_how_open_it_was_are_read_as_before(out: Path, tmp_path: Path) -> None:
     older = shutil.copytree(out, tmp_path / "out")
     contents = json.loads((older / "uncertainty.json").read_text())
-    assert contents.pop("room") > 0.0
+    assert contents.pop("closure_determinant") > 0.0
     (older / "uncertainty.json").write_text(json.dumps(contents))
     model = calib.load_machine(older)
-    assert model.known_uncertainty.room is None
+    assert model.known_uncertainty.closure_determinant is None
     assert np.degrees(np.ptp(judged_readings(model)[:, 1:3], axis=1)).max() > 90.0
 
 

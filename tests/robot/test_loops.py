@@ -18,7 +18,7 @@ from calib.machine.urdf import calibrated_urdf
 from calib.robot.load import load_robot, with_document
 from calib.robot.loops import at_dead_centre
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot, TipModel
-from calib.robot.sampling import closing, least_room, random_readings
+from calib.robot.sampling import closing, least_determinant, random_readings
 from calib.robot.urdf import parse_urdf
 from tests.support import jacobians, machines
 from tests.support.loops import four_bar_urdf, mimic, tree
@@ -519,14 +519,14 @@ def test_how_near_a_parallelogram_is_to_folding_flat_is_the_sine_between_its_lin
     nominal, readings = robot.no_deviations(), np.zeros((3, 6))
     # Lower arm and crank are at right angles where axes 2 and 3 are alike.
     readings[:, 1:3] = np.radians([[0.0, 0.0], [20.0, -40.0], [-70.0, 30.0]])
-    open_, near, beyond = (least_room(robot, nominal, row[None]) for row in readings)
+    open_, near, beyond = (least_determinant(robot, nominal, row[None]) for row in readings)
     assert open_ is not None
     assert near == pytest.approx(open_ * np.cos(np.radians(60.0)))
     assert beyond == pytest.approx(open_ * np.cos(np.radians(100.0)))
-    assert least_room(robot, nominal, readings[:2]) == near
-    assert least_room(robot, nominal, readings) is None
-    assert least_room(plain, plain.no_deviations(), readings) is None
-    drawn = random_readings(robot, 500, room=near)
+    assert least_determinant(robot, nominal, readings[:2]) == near
+    assert least_determinant(robot, nominal, readings) is None
+    assert least_determinant(plain, plain.no_deviations(), readings) is None
+    drawn = random_readings(robot, 500, determinant=near)
     apart = np.degrees(np.abs(drawn[:, 2] - drawn[:, 1]))
     assert 50.0 < apart.max() < 64.0
     assert np.degrees(np.ptp(random_readings(robot, 500)[:, 1:3], axis=1)).max() > 120.0

@@ -63,9 +63,10 @@ class Export:
 
 def judged_readings(model: CalibratedMachine) -> Array:
     """Return random readings (500, nr) of the identified range, always the same, at which exports are judged."""
-    limits, room = (None, None) if (known := model.uncertainty) is None else (known.identified, known.room)
+    known = model.uncertainty
+    limits, determinant = (None, None) if known is None else (known.identified, known.closure_determinant)
     plain = replace(model.deviations, terms=np.zeros_like(model.deviations.terms))
-    return random_readings(model.robot, _POSES, limits, (None, plain), room=room)
+    return random_readings(model.robot, _POSES, limits, (None, plain), determinant=determinant)
 
 
 def whole_positions(model: CalibratedMachine, readings: Array) -> Array:
