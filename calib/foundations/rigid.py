@@ -10,13 +10,16 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.linear import svd
 
-_SMALL_ANGLE = 1e-4
 _TINY = 1e-150
 _NEAR_HALF_TURN = -0.5
 # By component of a vector, the nine numbers of its cross-product matrix.
 _CROSS = np.array(
     [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], dtype=np.float64
 )
+# By component of a vector again, those of -[v]x / 2; and of a rotation's nine numbers, the sine of its angle times its
+# axis, and the cosine but for 1/2.
+_MINUS_HALF_CROSS = read_only(-0.5 * _CROSS.T)
+_PARTS = read_only(0.5 * np.concatenate([_CROSS, np.eye(3).reshape(1, 9)]))
 
 
 def skew(v: Array) -> Array:
@@ -94,21 +97,33 @@ def exp3(w: Array) -> Array:
 
 def log3(R: Array) -> Array:
     """Return the rotation vectors (..., 3) of rotations (..., 3, 3), with angles in [0, pi]."""
+    w, _ = _logarithms(R.reshape(-1, 9).T)
+    return w.T.reshape(R.shape[:-1])
+
+
+def log3_with_derivative(R: Array) -> tuple[Array, Array]:
+    """Return the rotation vectors w (3, n) of rotations (3, 3, n), rows last, and :func:`left_jacobian_inverse` of w.
+
+    The latter is (3, 3, n); both are found in fewer calls than one by one.
+    """
+    w, angle = _logarithms(R.reshape(9, -1))
+    return w, _left_jacobian_inverse(w, angle)
+
+
+def _logarithms(R: Array) -> tuple[Array, Array]:
+    """Return the rotation vectors (3, n) of rotations (9, n), and their angles (n,), none of which is 0."""
     # Components come first, so that what is done to all rows is done at once.
-    own = R.reshape(-1, 3, 3)
-    v = np.empty((3, len(own)))
-    for i, j, k in ((0, 2, 1), (1, 0, 2), (2, 1, 0)):
-        np.subtract(own[:, j, k], own[:, k, j], out=v[i])
-    v *= 0.5
+    parts = _PARTS @ R
+    w, c = parts[:3], parts[3] - 0.5
     # Never 0, which divides: the angle over its sine is 1 there.
-    s = np.maximum(np.sqrt(np.einsum("in,in->n", v, v)), _TINY)
-    c = 0.5 * (own[:, 0, 0] + own[:, 1, 1] + own[:, 2, 2] - 1.0)
-    v *= np.arctan2(s, c) / s
+    s = np.maximum(np.sqrt(np.einsum("in,in->n", w, w)), _TINY)
+    angle = np.arctan2(s, c)
+    w *= angle / s
     # Towards half a turn the antisymmetric part fades and with it the axis; the quaternion keeps it.
     far = c < _NEAR_HALF_TURN
     if far.any():
-        v[:, far] = _log_of_quaternion(quaternion_of(own[far])).T
-    return v.T.reshape(R.shape[:-1])
+        w[:, far] = _log_of_quaternion(quaternion_of(R[:, far].T.reshape(-1, 3, 3))).T
+    return w, angle
 
 
 def _log_of_quaternion(q: Array) -> Array:
@@ -119,15 +134,19 @@ def _log_of_quaternion(q: Array) -> Array:
 def left_jacobian_inverse(w: Array) -> Array:
     """Return Jl(w)^-1 (..., 3, 3): ``log(exp(d) exp(w)) = w + Jl(w)^-1 d`` to first order in d (..., 3)."""
     v = w.reshape(-1, 3).T
-    square = np.einsum("in,in->n", v, v)
-    # At smaller angles c is what it is here, but for its rounding errors.
-    half = np.maximum(0.5 * np.sqrt(square), 0.5 * _SMALL_ANGLE)
-    c = (1.0 - half / np.tan(half)) / (4.0 * half * half)
-    # 1 - [w]x / 2 + c [w]x^2, where [w]x^2 = w w^T - |w|^2.
-    out = (_CROSS.T @ (-0.5 * v)).reshape(3, 3, -1)
-    out += (c * v)[:, None] * v
-    out.reshape(9, -1)[::4] += 1.0 - c * square
-    return out.transpose(2, 0, 1).reshape(*w.shape, 3)
+    angle = np.maximum(np.sqrt(np.einsum("in,in->n", v, v)), _TINY)
+    return _left_jacobian_inverse(v, angle).transpose(2, 0, 1).reshape(*w.shape, 3)
+
+
+def _left_jacobian_inverse(w: Array, angle: Array) -> Array:
+    """Return Jl(w)^-1 (3, 3, n) of rotation vectors (3, n), whose angles (n,) are not 0."""
+    half = 0.5 * angle
+    k = half / np.tan(half)
+    # k - [w]x / 2 + (1 - k) / |w|^2 w w^T: however small w is, the last is not larger than the rounding errors of k.
+    out = (_MINUS_HALF_CROSS @ w).reshape(3, 3, -1)
+    out += ((1.0 - k) / (angle * angle) * w)[:, None] * w
+    out.reshape(9, -1)[::4] += k
+    return out
 
 
 def rx_ry_rz(angles: Array) -> Array:

@@ -123,8 +123,16 @@ def test_left_jacobian_inverse_is_the_derivative_of_log(angle: float) -> None:
     )
 
 
-def test_left_jacobian_inverse_is_smooth_at_its_switch_and_agrees_with_pinocchio() -> None:
-    for angle in (0.99e-4, 1.01e-4, 0.5, 2.0, 3.0):
+@pytest.mark.parametrize("angle", [0.0, 1e-300, 1e-12, 1e-4, 1.0, 2.0, 2.2, np.pi - 1e-7, np.pi])
+def test_log_with_its_derivative_is_what_both_are_alone(angle: float) -> None:
+    R = rigid.exp3(angle * axes(20))
+    w, back = rigid.log3_with_derivative(np.ascontiguousarray(R.transpose(1, 2, 0)))
+    np.testing.assert_allclose(w.T, rigid.log3(R), rtol=0, atol=1e-15 * angle)
+    np.testing.assert_allclose(back.transpose(2, 0, 1), rigid.left_jacobian_inverse(w.T), rtol=0, atol=2e-15)
+
+
+def test_left_jacobian_inverse_agrees_with_pinocchio() -> None:
+    for angle in (1e-12, 1e-7, 0.99e-4, 1.01e-4, 0.5, 2.0, 3.0):
         w = angle * axes(10)
         # Pinocchio's Jlog3 is the right one; the left one of w is the right one of -w.
         expected = [pin.Jlog3(pin.exp3(-row)) for row in w]

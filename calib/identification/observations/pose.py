@@ -18,8 +18,8 @@ def residual(seen: Seen) -> Linearised:
     # Rows last, in memory as well, so that what is done to all of them is done at once.
     R = seen.tools[:, :3, :3].transpose(1, 2, 0)
     measured = np.ascontiguousarray(orientation[seen.rows].transpose(1, 2, 0))
-    linear, turn = position.residual(seen), rigid.log3(np.einsum("kin,kjn->ijn", R, measured).transpose(2, 0, 1))
+    linear, (turn, back) = position.residual(seen), rigid.log3_with_derivative(np.einsum("kin,kjn->ijn", R, measured))
     # log(exp(-w) exp(r)) = r - Jl(r)^-1 w, with w in the axes of the tool.
-    back = rigid.left_jacobian_inverse(turn).transpose(1, 2, 0)
-    by_turn = -np.einsum("ikn,jkn->ijn", back, R)
-    return Linearised(np.concatenate([linear.residual, turn], axis=1), (*linear.tool, Follow(None, by_turn)))
+    by_turn = np.einsum("ikn,jkn->ijn", back, R)
+    np.negative(by_turn, out=by_turn)
+    return Linearised(np.concatenate([linear.residual, turn.T], axis=1), (*linear.tool, Follow(None, by_turn)))
