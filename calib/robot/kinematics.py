@@ -4,8 +4,7 @@ The only module that imports Pinocchio, which has no type stubs: what leaves it 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -80,12 +79,12 @@ class Follow(NamedTuple):
     def seen_from(self, turned: Array) -> "Follow":
         """Return the same in other axes, which are ``turned`` (3, 3), or (N, 3, 3), in these."""
         if turned.ndim == 2:
-            return Follow(*(None if rows is None else turned.T @ rows for rows in self))
+            shift, turn = self
+            return Follow(None if shift is None else turned.T @ shift, None if turn is None else turned.T @ turn)
         return Follow(*(None if rows is None else np.einsum("nik,din->dkn", turned, rows) for rows in self))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Regressor:
+class Regressor(NamedTuple):
     """Placements of a frame over N configurations, and how they follow the placements of the joints.
 
     ``way``: the w joints that carry the frame, of ``joints`` in all; no other one moves it. ``carriers`` (4, w + 1, 3,
@@ -125,14 +124,16 @@ class Regressor:
         if rows.shift is None:
             assert rows.turn is not None, "what follows neither shifts nor turns follows nothing"
             return _along(rows.turn, axes, np.empty((3, s, rows.size, n)))
-        found = np.empty((6, s, rows.size, n))
         # A shift of the frame by v and a turn by w, about its origin, change a number by a . v + b . w; a turn of
-        # something at distance r from that origin by (r x a + b) . w.
-        shifts, turns = _along(rows.shift, axes, found[:3]), found[3:]
-        arm = np.einsum("scn,kscn->ksn", at.T - origins, axes)[:, :, None]
-        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-            np.multiply(arm[j], shifts[k], out=turns[i])
-            turns[i] -= arm[k] * shifts[j]
+        # something at distance r from that origin by (r x a + b) . w. With y and z before x, y and z as well, r x a is
+        # of three components in a row.
+        arms, every = np.empty((5, s, 1, n)), np.empty((8, s, rows.size, n))
+        np.einsum("scn,kscn->ksn", at.T - origins, axes, out=arms[2:, :, 0])
+        _along(rows.shift, axes, every[2:5])
+        arms[:2], every[:2] = arms[3:], every[3:5]
+        found, turns = every[2:], every[5:]
+        np.multiply(arms[:3], every[1:4], out=turns)
+        turns -= arms[1:4] * every[:3]
         if rows.turn is not None:
             turns += _along(rows.turn, axes, np.empty_like(turns))
         return found
@@ -226,11 +227,17 @@ class Joints:
         self._rows = rows = max(1, _SIDE_BY_SIDE // nj)
         behind = tuple(parent if parent < 0 else parent + nj * k for k in range(rows) for parent in parents)
         self._model = _model(Tree(tuple(types) * rows, behind, np.tile(np.eye(4), (nj * rows, 1, 1))))
-        # The static regressor is the placements of all joints, each over the mass of all: here 1.
-        self._model.appendBodyToJoint(1, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
         self._data = self._model.createData()
-        self._turned, self._shifted = (own.reshape(rows, nj, *own.shape[1:]) for own in _placed(self._model))
+        self._placements = _memory(self._model.jointPlacements).reshape(rows, nj, 4, 3)
+        self._left = _memory(self._data.oMi).data
         self._placed_by: Array | None = None
+        self._parents, self._ways = tuple(parents), dict[int, tuple[int, ...]]()
+
+    def way(self, joint: int) -> tuple[int, ...]:
+        """Return the joints from the root to one, itself included."""
+        if joint not in self._ways:
+            self._ways[joint] = way(self._parents, joint)
+        return self._ways[joint]
 
     def carriers(self, placements: Array, q: Array) -> Array:
         """Return x, y, z and origins (4, nj + 1, 3, N) of the root, and of all joints after their own motion.
@@ -238,36 +245,32 @@ class Joints:
         ``placements`` (nj, 4, 4) of the joints are those of :class:`Tree`; at configurations q (N, nj) in rad or m.
         """
         if self._placed_by is not placements:
-            self._turned[:], self._shifted[:] = placements[:, :3, :3], placements[:, :3, 3]
+            self._placements[:] = placements[:, :3].transpose(0, 2, 1)
             self._placed_by = placements
         (n, nj), rows = q.shape, self._rows
         filled = np.zeros((-(-n // rows) * rows, nj))
         filled[:n] = q
         # One call leaves those of a few rows; this loop is most of the cost of large problems.
-        model, data, walk = self._model, self._data, pin.computeStaticRegressor
-        left, walked = memoryview(data.staticRegressor.T), bytearray()
+        model, data, walk = self._model, self._data, pin.forwardKinematics
+        left, walked = self._left, bytearray()
         for q_n in filled.reshape(-1, rows * nj):
             walk(model, data, q_n)
             walked += left
         found = np.empty((4, nj + 1, 3, n))
         found[:, 0] = _ROOT
-        # Of every joint Pinocchio tells the origin first.
-        told = np.frombuffer(walked).reshape(-1, nj, 4, 3)[:n].transpose(2, 1, 3, 0)
-        found[3, 1:], found[:3, 1:] = told[0], told[1:]
+        found[:, 1:] = np.frombuffer(walked).reshape(-1, nj, 4, 3)[:n].transpose(2, 1, 3, 0)
         return found
 
 
 class Kinematics:
     """Frames of a tree, evaluated at many configurations. Not to be shared by threads: it holds scratch memory.
 
-    ``ways``: of every frame the moving joints that carry it, from the root. ``joints``: those of the tree, where they
-    are made once for many placements.
+    ``joints``: those of the tree, where they are made once for many placements.
     """
 
     def __init__(self, tree: Tree, frames: Sequence[Frame], joints: Joints | None = None) -> None:
         self._tree, self._frames = tree, tuple(frames)
         self._joints = Joints(tree.types, tree.parents) if joints is None else joints
-        self.ways = tuple(way(tree.parents, frame.joint) for frame in frames)
 
     def regressors(self, q: Array) -> tuple[Regressor, ...]:
         """Return the regressor of every frame at N configurations q (N, nj) in rad or m."""
@@ -281,7 +284,7 @@ class Kinematics:
                 self._tree.placements if len(own) == joints else self._tree.placements[list(own)],
                 frame.placement,
             )
-            for frame, own in zip(self._frames, self.ways, strict=True)
+            for frame, own in ((frame, self._joints.way(frame.joint)) for frame in self._frames)
         )
 
     def jacobian(self, q: Array) -> tuple[Array, Array]:
@@ -340,21 +343,17 @@ def _model(tree: Tree) -> pin.Model:
     return model
 
 
-def _placed(model: pin.Model) -> tuple[Array, Array]:
-    """Return where the joints of a model are placed, rotations (nj, 3, 3) and origins (nj, 3), to be written to.
+def _memory(poses: Any) -> Array:
+    """Return x, y, z and origins (n, 4, 3) of all poses but the root's, in Pinocchio's own memory: a std::vector.
 
-    To place them by calls of Pinocchio's, one by one, takes as long as to walk several rows.
+    To read or to write them by calls of Pinocchio's, one by one, takes as long as to walk several rows.
     """
-    root, first, last = (model.jointPlacements[j] for j in (0, 1, model.nv))
-    # Pinocchio shows its own memory, a std::vector: all are as far from each other as the first from the root.
-    step = first.translation.ctypes.data - root.translation.ctypes.data
-    turned, shifted = (
-        np.lib.stride_tricks.as_strided(own, (model.nv, *own.shape), (step, *own.strides))
-        for own in (first.rotation, first.translation)
-    )
-    for own, same in ((turned, last.rotation), (shifted, last.translation)):
-        assert np.shares_memory(own[-1], same), "what is written to is where Pinocchio reads"
-    return turned, shifted
+    root, first, last = poses[0], poses[1], poses[-1]
+    found = np.lib.stride_tricks.as_strided(first.rotation.T, (len(poses) - 1, 4, 3), (96, 24, 8))
+    for pose, own in ((root, found[0].ctypes.data - 96), (first, found[0].ctypes.data), (last, found[-1].ctypes.data)):
+        at = [part.ctypes.data for part in (pose.rotation, pose.translation)]
+        assert at == [own, own + 72], "a pose is twelve numbers in a row, column by column"
+    return found
 
 
 def way(parents: Sequence[int], joint: int) -> tuple[int, ...]:
