@@ -27,6 +27,14 @@ def read_only_view(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return view
 
 
+def as_slice(those: IntArray) -> slice | IntArray:
+    """Return numbers, ascending, as a slice where none is left out: what it takes is read and written faster."""
+    if not len(those):
+        return slice(0)
+    first, end = int(those[0]), int(those[-1]) + 1
+    return slice(first, end) if end - first == len(those) else those
+
+
 def rows_by_word(words: Iterable[Word]) -> dict[Word, IntArray]:
     """Return the rows of every word, words in the order of their first row."""
     found: dict[Word, list[int]] = {}

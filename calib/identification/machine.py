@@ -111,7 +111,8 @@ class States:
         if not np.isfinite(state[: layout.base]).all():
             raise RobotError("the deviations of the machine have numbers that are not finite.")
         values, n, b = state[self._placed], layout.offsets // 6, self._bases
-        state.flags.writeable = values.flags.writeable = False
+        state.setflags(write=False)
+        values.setflags(write=False)
         # In one go: of few rows, half of the time is that of calls.
         E, W = Motions.of(values)
         poses, twists, t = self._turns @ E[n:], W[n:], b + self._tools

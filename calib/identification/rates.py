@@ -7,12 +7,13 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.errors import PoseError
 from calib.identification.machine import Machine
 from calib.identification.observations.pixels import Photographed, of_photographs, photographed
 from calib.identification.observations.seen import Linearised, Moved, Seen
 from calib.identification.rows import (
     held_at,
-    naming_row,
+    named,
     observed_rows,
     on_links,
     one_or_all,
@@ -154,7 +155,7 @@ class Rates:
         for rows in row_blocks(data):
             setups, tool, others, there = setups_of(data, rows), one_or_all(data.tool[rows], data.tools), None, None
             base, group = np.asarray(frames.bases[setups]), setups
-            with naming_row(data, rows):
+            try:
                 told = data.conditions_at(frames.scalars, rows, moving=self._robot.weights is not None)
                 readings = data.readings_at(frames.scalars, rows)
                 motion = tip.motion(readings, told)
@@ -166,6 +167,8 @@ class Rates:
                     (link, own, self._links[link].motion(readings[own], told.subset(own)))
                     for link, own in on_links(data, rows)
                 ]
+            except PoseError as e:
+                raise named(e, data, rows) from e
             if seats:
                 group = np.array(setups)
                 for _, own, seat in seats:
@@ -248,7 +251,7 @@ class Rates:
         if link not in self._on:
             tip, at = self._links[link], self._at
             tool_twists = rigid.carried(tip.end @ at.frames.tools, at.tool_twists)
-            self._on[link] = tip.follow @ self._selection.of_robot, tool_twists
+            self._on[link] = self._by_parameters(link, NO_FRAME, NO_FRAME), tool_twists
         return self._on[link]
 
     def _by_parameters(self, link: str, group: int, tool: int) -> Array:
@@ -258,15 +261,15 @@ class Rates:
         """
         key = link, group, tool
         if key not in self._by:
-            at, own = self._at, self._selection
-            follow = self._links[link].follow_with(at.base_twists[group], at.frames.tools[tool], at.tool_twists[tool])
-            self._by[key] = follow @ np.concatenate([own.of_robot, own.each_base[group], own.each_tool[tool]])
+            at, tip = self._at, self._links[link]
+            unknowns = self._selection.carried_by(tip.carrying, *key)
+            placed = tip.end @ at.frames.tools[tool]
+            self._by[key] = tip.follow_with(unknowns, at.base_twists[group], placed, at.tool_twists[tool])
         return self._by[key]
 
     def _clock(self, data: Measurements, rows: slice) -> "_Clocked | None":
         """Return how the moments of rows follow the parameters, None where they are no stream or no clock is free."""
-        roles = [role for role in SHIFTS if role in data.uses]
-        if data.stream is None or not roles:
+        if data.stream is None or not (roles := [role for role in SHIFTS if role in data.uses]):
             return None
         rates = data.stream.rates(data.shifts(self._frames.scalars), rows)
         by = np.stack([data.stream.by_shift(role, rows) for role in roles], axis=1)

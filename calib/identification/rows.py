@@ -1,7 +1,6 @@
 """Rows of one set, few at a time: whose they are, which photographs they are of, and what they leave unexplained."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import fields
 
 import numpy as np
@@ -96,15 +95,10 @@ def on_links(data: Measurements, rows: slice | IntArray) -> Iterator[tuple[str, 
             yield link, np.array([n for n, other in enumerate(links) if other == link], dtype=np.intp)
 
 
-@contextmanager
-def naming_row(data: Measurements, rows: slice) -> Iterator[None]:
-    """Name the row of a set in which a loop does not close."""
-    try:
-        yield
-    except PoseError as e:
-        row = rows.start + e.row
-        line = f"{data.where}:{data.lines[row]}"
-        raise PoseError(row, e.reason, [rows.start + row for row in e.rows], line) from e
+def named(error: PoseError, data: Measurements, rows: slice) -> PoseError:
+    """Return what was raised of some rows of a set in which a loop does not close, as of the set, with its line."""
+    row = rows.start + error.row
+    return PoseError(row, error.reason, [rows.start + row for row in error.rows], f"{data.where}:{data.lines[row]}")
 
 
 def observed_rows(

@@ -8,6 +8,7 @@ from calib.foundations.arrays import Array, IntArray
 from calib.identification.arrow import Split
 from calib.identification.elimination import Things
 from calib.identification.machine import States
+from calib.robot.robot import Carrying, Unknowns
 
 # The number of no base, or no tool: the last of what has one entry more than there are.
 NO_FRAME = -1
@@ -104,3 +105,12 @@ class Selection:
         )
         self.of_targets = frames(layout.targets, layout.scalars)
         self.of_scalars = followed(layout.scalars, layout.size)
+        self._carried: dict[tuple[str, int, int], Unknowns] = {}
+
+    def carried_by(self, carrying: Carrying, link: str, group: int, tool: int) -> Unknowns:
+        """Return how what carries a link follows the parameters, with the base of a set-up, or none, and a tool."""
+        key = link, group, tool
+        if key not in self._carried:
+            S = np.concatenate([self.of_robot, self.each_base[group], self.each_tool[tool]])
+            self._carried[key] = carrying.by(S)
+        return self._carried[key]

@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.errors import PoseError
 from calib.identification.arrow import Arrow, Collected, Heads, Part, Split, alike, gathered
 from calib.identification.elimination import split_of
 from calib.identification.error_model import ErrorModel
@@ -26,7 +27,7 @@ from calib.identification.rates import Links, Rates
 from calib.identification.relations import Relation, relate
 from calib.identification.rows import (
     held_at,
-    naming_row,
+    named,
     observed_rows,
     on_links,
     one_or_all,
@@ -361,7 +362,7 @@ def residuals(
         residual = np.empty(data.sigma.shape)
         for rows in row_blocks(data):
             tools, others = at.frames.tools, None
-            with naming_row(data, rows):
+            try:
                 readings = data.readings_at(at.frames.scalars, rows)
                 told = data.conditions_at(at.frames.scalars, rows, moving=robot.weights is not None)
                 carried = links[data.tip].carried(readings, told)
@@ -373,6 +374,8 @@ def residuals(
                 base = np.asarray(at.frames.bases[setups_of(data, rows)])
                 for link, own in on_links(data, rows):
                     base[own] = rigid.inverse(links[link].carried(readings[own], told.subset(own)).placement)
+            except PoseError as e:
+                raise named(e, data, rows) from e
             # In the order of operations in which the Jacobian's rows are made: both give the same bits.
             held = held_at(carried, tools, one_or_all(data.tool[rows], data.tools), data.points, rows)
             residual[rows] = observed_rows(data, rows, at.frames, base, held, others)[0].residual

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -50,7 +51,7 @@ class Conditions:
 
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows."""
-        every = [getattr(self, name) for name in _NAMES]
+        every = _every(self)
         if all(told is None for told in every):
             return self
         return Conditions(*(None if told is None else told[rows] for told in every))
@@ -74,6 +75,7 @@ class Conditions:
 
 NO_CONDITIONS = Conditions()
 _NAMES = tuple(field.name for field in fields(Conditions))
+_every = attrgetter(*_NAMES)
 # What rows have of which nobody says anything, beside others of which somebody does; of all else, nobody then does.
 _UNSAID = {"payload": np.nan, "gravity": np.nan, "motion": 0.0}
 

@@ -26,23 +26,23 @@ class Motions(NamedTuple):
     @classmethod
     def of(cls, d: Array) -> "Motions":
         """Return those of deviations (..., 6) in m and rad."""
-        products = rigid.products_of_turns(d[..., 3:])
-        E, W = (products @ _E).reshape(*d.shape[:-1], 4, 4), (products @ _W).reshape(*d.shape, 6)
+        numbers = rigid.products_of_turns(d[..., 3:]) @ _E_AND_W
+        E, W = numbers[..., :16].reshape(*d.shape[:-1], 4, 4), numbers[..., 16:].reshape(*d.shape, 6)
         E[..., :3, 3] = d[..., :3]
         return cls(E, W)
 
 
-def _of_products() -> tuple[Array, Array]:
-    """Return how E without its translation (27, 16), and W (27, 36), follow the products of turns."""
+def _of_products() -> Array:
+    """Return how E without its translation, and W behind it, (27, 16 + 36), follow the products of turns."""
     R, E, W = rigid.RX_RY_RZ, np.zeros((27, 4, 4)), np.zeros((27, 6, 6))
     E[:, :3, :3], E[0, 3, 3] = R, 1.0
     # A translation is seen through the rotation that follows it, and each of the three rotations through those on its
     # right: rows of Ry Rz and of Rz, and Rx, on the left, leaves the first row of R as it is.
     W[:, :3, :3], W[:, 3:, 3], W[:, 3:, 4], W[0, 5, 5] = np.swapaxes(R, 1, 2), R[:, 0], rigid.RZ[:, 1], 1.0
-    return read_only(E.reshape(27, 16)), read_only(W.reshape(27, 36))
+    return read_only(np.concatenate([E.reshape(27, 16), W.reshape(27, 36)], axis=1))
 
 
-_E, _W = _of_products()
+_E_AND_W = _of_products()
 
 
 def motion(d: Array) -> Array:

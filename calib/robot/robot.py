@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked, own_fields, refuse_fields
-from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
+from calib.foundations.arrays import Array, BoolArray, IntArray, as_slice, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
@@ -124,13 +124,13 @@ class Deviations:
     def trusted(cls, placements: Array, offsets: Array, terms: Array) -> "Deviations":
         """Return deviations that are known to be right, of arrays that nobody changes: nothing is looked at."""
         made = object.__new__(cls)
-        for name, values in (("placements", placements), ("offsets", offsets), ("terms", terms)):
-            object.__setattr__(made, name, values)
+        object.__setattr__(made, "placements", placements)
+        object.__setattr__(made, "offsets", offsets)
+        object.__setattr__(made, "terms", terms)
         return made
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TipMotion:
+class TipMotion(NamedTuple):
     """Tip placements over N rows, and what follows how the robot deviates, with exact derivatives.
 
     ``tip``: where it is, and how it follows its carriers: the base, and the moving joints on its way. The local twists
@@ -425,7 +425,7 @@ class TipModel:
             motions = Motions.of(d.placements)
         self._skeleton = nominal.outline.moved(m.of_segments(motions))
         self._tip = int(m.carrying[robot.tip_joint]) if robot.tip_joint >= 0 else -1
-        self._mechanism, self._offsets = m, m.offset_coupling @ d.offsets
+        self._mechanism, self._offsets = m, m.coupling_offset + m.offset_coupling @ d.offsets
         self.types, self.passive = nominal.outline.types, nominal.passive
         frame = self._skeleton.end_frame(self._tip)
         self.end = frame.placement
@@ -440,18 +440,23 @@ class TipModel:
 
         Deviations are placements row by row, then offsets.
         """
-        return self.follow_with(_NOTHING, np.eye(4), _NOTHING)[:, :-12]
+        return self.follow_with(self._nominal.deviations(self._tip), _NOTHING, self.end, _NOTHING)
 
-    def follow_with(self, base_twists: Array, tool: Array, tool_twists: Array) -> Array:
-        """Return how local twists of the tip's carriers follow deviations, base and tool (6 (w + 1), n + 12).
+    @property
+    def carrying(self) -> "Carrying":
+        """What is the same of any machine in how the tip's carriers follow."""
+        return self._nominal.carrying(self._tip)
 
-        The base link has ``base_twists`` (6, 6) for changes of six values of its own; so has a ``tool`` (4, 4) in the
-        tip. As in :attr:`follow`, then by these.
+    def follow_with(self, unknowns: "Unknowns", base_twists: Array, tool: Array, tool_twists: Array) -> Array:
+        """Return how local twists of the tip's carriers follow c ``unknowns`` (6 (w + 1), c), by :attr:`carrying`.
+
+        The base link has ``base_twists`` (6, 6) for changes of six values of its own; so has a tool, which is at
+        ``tool`` (4, 4) in the last carrier.
         """
-        s, own = self._skeleton, self._nominal.carrying(self._tip)
-        placed = np.concatenate([s.carried[own.segments], _AT_BASE, (self.end @ tool)[None]])
-        twists = np.concatenate([s.twists[own.segments], base_twists[None], tool_twists[None]])
-        return own.written(rigid.adjoint(placed) @ twists)
+        s, own = self._skeleton, self.carrying.segments
+        placed = np.concatenate([s.carried[own], _AT_BASE, tool[None]])
+        twists = np.concatenate([s.twists[own], base_twists[None], tool_twists[None]])
+        return unknowns.followed(rigid.carried(placed, twists))
 
     def joint_positions(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the positions (N, nj) of the moving joints at readings (N, nr), loops closed."""
@@ -523,7 +528,7 @@ class TipModel:
         """Return the positions (N, nj) of all joints of the mechanism, passive ones where their search starts."""
         moved = readings if self._terms is None else self._terms.moved(readings, conditions, bases)
         q = moved @ self._mechanism.coupling.T
-        q += self._mechanism.coupling_offset + self._offsets
+        q += self._offsets
         return q
 
     def _by_coordinate(self, q: Array, by_joint: Array) -> Array:
@@ -550,23 +555,49 @@ class TipModel:
         return self._rates[1]
 
 
+class Unknowns(NamedTuple):
+    """How local twists of the carriers of a frame follow c unknowns, whatever the machine.
+
+    Local twists of all that moves by six values, (m, 6, 6) in its carriers, are all that differs: of ``entry`` (k,) of
+    these a ``share`` (k,) is at ``place`` (k,) of the matrix (6 (w + 1), c) that is asked for. ``rest`` (6 (w + 1), c)
+    is added: what joint offsets do.
+    """
+
+    entry: IntArray
+    share: Array
+    place: IntArray
+    rest: Array
+
+    def followed(self, twists: Array) -> Array:
+        """Return the matrix for local twists in the carriers."""
+        found = np.bincount(self.place, self.share * twists.reshape(-1)[self.entry], self.rest.size)
+        return np.asarray(found.reshape(self.rest.shape) + self.rest)
+
+
 class Carrying(NamedTuple):
     """What is the same of any machine in how the carriers of a frame follow deviations, base and a tool.
 
-    ``segments`` (m): those on the way to the frame that have deviations. Local twists of these, of the base and of the
-    tool for six values of their own (m + 2, 6, 6) are all that differs, and stand at ``entries`` of the matrix (6 (w +
-    1), n + 12) that is asked for; ``rest`` has the others of it, what joint offsets do.
+    ``segments`` (m): those on the way to the frame that have deviations. ``carriers`` (m + 2): which of s carriers has
+    the local twists of each, of the base and of the tool; ``columns`` (m + 2): the first of six of theirs, of n + 12.
+    ``offsets`` (6 s, n + 12): how carriers follow joint offsets.
     """
 
-    segments: IntArray
-    entries: IntArray
-    rest: Array
+    segments: slice | IntArray
+    carriers: IntArray
+    columns: IntArray
+    offsets: Array
 
-    def written(self, twists: Array) -> Array:
-        """Return the matrix for local twists in the carriers."""
-        found = self.rest.copy()
-        found.reshape(-1)[self.entries] = twists
-        return found
+    def by(self, S: Array) -> Unknowns:
+        """Return how carriers follow c unknowns, where deviations, base and tool follow these by ``S`` (n + 12, c)."""
+        # Of each of six values of what moves, the unknowns that it follows: six numbers of its twist follow them.
+        what, value, unknown = np.nonzero(S[self.columns[:, None] + np.arange(6)])
+        number, s = np.arange(6)[:, None], len(self.offsets) // 6
+        return Unknowns(
+            (36 * what + 6 * number + value).ravel(),
+            np.tile(S[self.columns[what] + value, unknown], 6),
+            (S.shape[1] * (s * number + self.carriers[what]) + unknown).ravel(),
+            self.offsets @ S,
+        )
 
 
 class Nominal:
@@ -584,6 +615,7 @@ class Nominal:
         self.terms = TermShares(robot.terms, names, flexures, of_chain) if robot.terms else None
         self.unknowns = 6 * len(self.mechanism.placed) + self.mechanism.offset_coupling.shape[1]
         self._carrying: dict[int, Carrying] = {}
+        self._deviations: dict[int, Unknowns] = {}
 
     def carrying(self, joint: int) -> Carrying:
         """Return how what carries the end of a joint follows any machine."""
@@ -591,22 +623,26 @@ class Nominal:
             self._carrying[joint] = self._carried(joint)
         return self._carrying[joint]
 
+    def deviations(self, joint: int) -> Unknowns:
+        """Return how it follows the deviations, placements row by row, then offsets."""
+        if joint not in self._deviations:
+            self._deviations[joint] = self.carrying(joint).by(np.eye(self.unknowns + 12)[:, :-12])
+        return self._deviations[joint]
+
     def _carried(self, joint: int) -> Carrying:
         m, path = self.mechanism, self.outline.path(joint)
         s, n = len(path.way) + 1, self.unknowns
-        rest = np.zeros((6, s, n + 12))
+        offsets = np.zeros((6, s, n + 12))
         for k, j in enumerate(path.way):
             if j not in self.passive:
                 # A joint's own motion commutes with a change of its position: the same for all rows.
                 component = 5 if self.outline.types[j] == "revolute" else 2
-                rest[component, k + 1, 6 * len(m.placed) : n] = m.offset_coupling[j]
+                offsets[component, k + 1, 6 * len(m.placed) : n] = m.offset_coupling[j]
         # Of the segments, those that are none of the chain's give way, and do not deviate.
         _, of_chain, on_way = np.intersect1d(m.placed, path.segments, return_indices=True)
         carriers = np.array([*path.carriers[on_way], 0, s - 1])
         columns = np.array([*(6 * of_chain), n, n + 6])
-        rows = s * np.arange(6) + carriers[:, None]
-        entries = (n + 12) * rows[:, :, None] + columns[:, None, None] + np.arange(6)
-        return Carrying(path.segments[on_way], entries, rest.reshape(6 * s, -1))
+        return Carrying(as_slice(path.segments[on_way]), carriers, columns, offsets.reshape(6 * s, -1))
 
 
 class Nominals(dict[Robot, Nominal]):

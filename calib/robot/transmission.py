@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations.arrays import Array, IntArray
+from calib.foundations.arrays import Array, IntArray, as_slice
 from calib.foundations.errors import RobotError
 from calib.robot.conditions import Conditions
 from calib.robot.flexures import Flexure, link_length
@@ -101,7 +101,7 @@ class TermShares:
                 coordinate, number = self.coordinate[those], self.number[those]
                 of_kind = tuple(terms[t] for t in number.tolist())
                 shares = Shares(of_kind, coordinate, reading[those], lengths[coordinate])
-                self.of_kinds.append((_columns(those), kind, shares, number))
+                self.of_kinds.append((as_slice(those), kind, shares, number))
 
 
 class Transmission:
@@ -164,9 +164,3 @@ class Transmission:
             if slope := kind.slope(own):
                 found[:, columns] = slope(readings)
         return np.asarray(1.0 + found @ self._coefficients[:, : readings.shape[1]])
-
-
-def _columns(those: IntArray) -> slice | IntArray:
-    """Return columns in a row as a slice, which is written to several times as fast."""
-    first, end = int(those[0]), int(those[-1]) + 1
-    return slice(first, end) if end - first == len(those) else those
