@@ -1,11 +1,14 @@
 """How the command starts and how Ctrl-C ends it: one line and 130, whenever it comes."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+import calib.cli
+from calib.cli.application import COMMANDS
 from tests.support.cases import JOB, copy_case
 
 # Whoever runs the tests in the background has taught them to ignore Ctrl-C; a person's terminal has not.
@@ -34,7 +37,7 @@ def start(code: str, *arguments: str, options: tuple[str, ...] = ("-W", "error")
     return done.returncode, done.stdout, done.stderr
 
 
-@pytest.mark.parametrize("module", ["calib", "numpy", "pinocchio", "pydantic", "calib.cli.export"])
+@pytest.mark.parametrize("module", ["calib", "numpy", "pinocchio", "pydantic", "calib.cli.check"])
 def test_interrupted_while_it_is_loaded(module: str) -> None:
     done = start(TERMINAL + AT_IMPORT.format(module=module) + MAIN, "check", "nothing.toml")
     assert done == (130, "", "Error: interrupted.\n")
@@ -124,6 +127,45 @@ def test_commands_that_solve_nothing_wait_for_no_scipy(folder_of_results: Path, 
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+COMMANDS_LOADED = """
+import atexit, sys
+from calib_start import main
+from calib.cli.application import COMMANDS
+atexit.register(lambda: print([name for name, module in COMMANDS.items() if module in sys.modules]))
+sys.argv[0] = "calib"
+main()
+"""
+
+
+def test_a_command_waits_for_no_other() -> None:
+    for name in ("view", "uncertainty", "import", "five-point"):
+        code, out, err = start(COMMANDS_LOADED, name, "--help")
+        assert (code, err, out.splitlines()[-1]) == (0, "", str([name]))
+
+
+def test_every_command_is_known_by_the_name_of_its_module() -> None:
+    written = {}
+    for path in Path(calib.cli.__file__).parent.glob("*.py"):
+        for name in re.findall(r'^@command\("([a-z0-9-]+)"', path.read_text(encoding="utf-8"), re.MULTILINE):
+            written[name] = f"calib.cli.{path.stem}"
+    assert written == COMMANDS
+
+
+def test_the_help_has_one_order_whatever_was_typed_before() -> None:
+    typed = """
+import contextlib, sys
+from calib.cli import main
+for arguments in (["five-point", "--help"], ["app", "--help"], ["--help"]):
+    sys.argv[1:] = arguments
+    with contextlib.suppress(SystemExit):
+        main()
+"""
+    said, alone = start(typed), start(MAIN, "--help")
+    assert (said[0], said[2]) == (0, "")
+    assert said[1].endswith(alone[1])
+    assert start(MAIN, "vieww", "--help")[2].endswith("No such command 'vieww'. Did you mean 'view'?\n")
 
 
 FITS = """

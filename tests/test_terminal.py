@@ -120,6 +120,13 @@ def test_names_in_tables_cannot_command_the_terminal() -> None:
         assert r"a\x1b[31m\x9b2J\u202eb\u2028c" in text
 
 
+def test_names_in_tables_stay_as_they_are() -> None:
+    name = "a:car:[red]b"
+    sheet = Sheet.of(name, ("name", ">n", name), [(name, "1", name)], caption=name)
+    assert plain(sheet_table(sheet)).count(name) == 5
+    assert name in plain(Group(*null_space_lines([name])))
+
+
 def test_steps_count_what_is_done_and_never_run_over() -> None:
     told: list[tuple[str, int, int]] = []
     steps = Steps(lambda *what: told.append(what), 2)

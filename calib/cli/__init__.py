@@ -1,4 +1,4 @@
-"""The command line: a module for every command, which loads what it needs when it runs.
+"""The command line: a module for every command, which is loaded when it is typed, and loads what it needs when it runs.
 
 What this package imports is light, so that ``calib --help`` and completion are there at once.
 """
@@ -12,32 +12,8 @@ from typing import Annotated
 import typer
 
 import calib
-from calib.cli.application import BAD_INPUT, INTERRUPTED, app
+from calib.cli.application import BAD_INPUT, COMMANDS, INTERRUPTED, app, load
 from calib.foundations.errors import LITTLE_MEMORY, CalibError
-
-# In the order in which the help lists their commands.
-from calib.cli import init as init  # isort: skip
-from calib.cli import check as check  # isort: skip
-from calib.cli import calibrate as calibrate  # isort: skip
-from calib.cli import view as view  # isort: skip
-from calib.cli import app_ as app_  # isort: skip
-from calib.cli import compensate as compensate  # isort: skip
-from calib.cli import export as export  # isort: skip
-from calib.cli import demo as demo  # isort: skip
-from calib.cli import board as board  # isort: skip
-from calib.cli import import_ as import_  # isort: skip
-from calib.cli import plan as plan  # isort: skip
-from calib.cli import models as models  # isort: skip
-from calib.cli import sensitivity as sensitivity  # isort: skip
-from calib.cli import verify as verify  # isort: skip
-from calib.cli import compare as compare  # isort: skip
-from calib.cli import uncertainty as uncertainty  # isort: skip
-from calib.cli import iso9283 as iso9283  # isort: skip
-from calib.cli import performance as performance  # isort: skip
-from calib.cli import fleet as fleet  # isort: skip
-from calib.cli import dh as dh  # isort: skip
-from calib.cli import cell as cell  # isort: skip
-from calib.cli import five_point as five_point  # isort: skip
 
 
 @app.callback(invoke_without_command=True)
@@ -53,6 +29,8 @@ def main() -> None:
     if not sys.warnoptions:  # what a library warns of is for whoever works on this program, and asks for it with -W
         warnings.simplefilter("ignore")
     try:
+        # Only the help, completion and what is misspelt need all commands.
+        load(*(name for name in sys.argv[1:2] if name in COMMANDS))
         app(prog_name="calib")
     except CalibError as error:
         _say(str(error))

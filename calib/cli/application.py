@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, is_dataclass
 from functools import cache, update_wrapper
+from importlib import import_module
 from inspect import Parameter, Signature, signature
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -12,6 +13,7 @@ from typer.core import TyperGroup
 
 from calib.cli.options import Json, Quiet
 from calib.foundations.json_text import document
+from calib_start import loading
 
 if TYPE_CHECKING:
     from calib.presentation.console import Shown, Steps
@@ -26,6 +28,13 @@ PATH = "Calibrate"
 PREPARE = "Prepare"
 JUDGE = "Judge"
 MORE = "More"
+
+# Where each command is, in the order in which the help lists them.
+_MODULES = (
+    "init check calibrate view app_ compensate export demo board import_ plan models sensitivity verify compare "
+    "uncertainty iso9283 performance fleet dh cell five_point"
+)
+COMMANDS = {module.rstrip("_").replace("_", "-"): f"calib.cli.{module}" for module in _MODULES.split()}
 
 _Command = TypeVar("_Command", bound=Callable[..., None])
 
@@ -53,6 +62,15 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def load(*names: str) -> None:
+    """Let the application know some commands, or all if none is named."""
+    with loading():
+        for name in names or COMMANDS:
+            import_module(COMMANDS[name])
+    order = list(COMMANDS)
+    app.registered_commands.sort(key=lambda known: order.index(str(known.name)))
 
 
 def command(name: str, group: str, example: str) -> Callable[[_Command], _Command]:

@@ -28,7 +28,7 @@ def show(*shown: Shown) -> None:
 
 
 def _console(*, stderr: bool = False) -> Console:
-    console = Console(stderr=stderr, highlight=False, markup=False)
+    console = Console(stderr=stderr, highlight=False, markup=False, emoji=False)
     if console.width < 1:  # COLUMNS=0, as some terminals have it that do not know: rich would print nothing at all
         console.width = WIDTH
     return console

@@ -28,9 +28,10 @@ def plain(renderable: RenderableType) -> str:
     At most 80 columns wide, no blanks at the ends of lines.
     """
     text = io.StringIO()
-    Console(file=text, width=WIDTH, no_color=True, force_terminal=False, highlight=False, markup=False).print(
-        renderable
+    console = Console(
+        file=text, width=WIDTH, no_color=True, force_terminal=False, highlight=False, markup=False, emoji=False
     )
+    console.print(renderable)
     return "".join(f"{line.rstrip()}\n" for line in text.getvalue().replace("─", "-").splitlines())
 
 

@@ -129,11 +129,15 @@ class Closure:
         return found, dead, open_
 
     def determinants(self, q: Array) -> Array:
-        """Return the determinants (N,) of the closure by the passive joints, at closed positions q (N, nj).
+        """Return the determinants (N,) of the closure by the passive joints, where :meth:`close` finds them from q.
 
-        Each is 0 at a dead centre, whose two sides differ in sign, and to be compared with its own kind alone.
+        q (N, nj); nan in rows where it does not. Each is 0 at a dead centre, whose two sides differ in sign, and to be
+        compared with its own kind alone.
         """
-        return np.asarray(np.linalg.det(self._gaps(q, self._still(q))[1]))
+        q, dead, open_ = self._sought(q)
+        found, closed = np.full(len(q), np.nan), ~(dead | open_)
+        found[closed] = np.linalg.det(self._gaps(q[closed], self._still(q[closed]))[1])
+        return found
 
     def _still(self, q: Array) -> list[list[_Frames]]:
         """Return, for both sides of every ring, the frames (N) behind the joints before the first passive one."""

@@ -472,9 +472,9 @@ class TipModel:
     def determinants(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array | None:
         """Return the determinants of closure (N,) at readings (N, nr), as :meth:`Closure.determinants`.
 
-        None where there is no loop. Raises as :meth:`joint_positions` does.
+        None where there is no loop; nan at readings where loops do not close.
         """
-        return None if self._closure is None else self._closure.determinants(self._positions(readings, conditions))
+        return None if self._closure is None else self._closure.determinants(self._coupled(readings, conditions))
 
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr)."""

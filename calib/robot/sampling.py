@@ -42,12 +42,10 @@ def _closing(models: Sequence[TipModel], readings: Array, determinant: float | N
     found = np.ones(len(readings), dtype=bool)
     for model in models:
         rows = np.flatnonzero(found)
-        found[rows] = model.closes(readings[rows], ordinary(readings[rows]))
-        rows = np.flatnonzero(found)
-        if (
-            determinant is not None
-            and (own := model.determinants(readings[rows], ordinary(readings[rows]))) is not None
-        ):
+        asked = readings[rows], ordinary(readings[rows])
+        if determinant is None or (own := model.determinants(*asked)) is None:
+            found[rows] = model.closes(*asked)
+        else:  # nothing compares with nan
             found[rows] = own * np.sign(determinant) >= _SLACK * abs(determinant)
     return found
 
@@ -59,9 +57,11 @@ def least_determinant(robot: Robot, deviations: Deviations, readings: Array) -> 
     """
     if not robot.loops:
         return None
-    there = readings[closing(robot, readings, (deviations,))]
-    determinants = TipModel(robot, deviations).determinants(there, ordinary(there))
-    if determinants is None or not (len(determinants) and (np.all(determinants > 0.0) or np.all(determinants < 0.0))):
+    determinants = TipModel(robot, deviations).determinants(readings, ordinary(readings))
+    if determinants is None:
+        return None
+    determinants = determinants[~np.isnan(determinants)]
+    if not (len(determinants) and (np.all(determinants > 0.0) or np.all(determinants < 0.0))):
         return None
     return float(determinants[np.argmin(np.abs(determinants))])
 

@@ -18,7 +18,7 @@ class Commands(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return the sections."""
         described = subprocess.run(
-            [sys.executable, "-m", "typer", "calib.cli", "utils", "docs", "--name", "calib"],
+            [sys.executable, "-m", "typer", "calib.cli.whole", "utils", "docs", "--name", "calib"],
             cwd=ROOT,
             capture_output=True,
             text=True,

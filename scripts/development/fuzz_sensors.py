@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import typer
 
-from calib.cli import app
+from calib.cli.whole import app
 from calib.foundations.arrays import Array
 from calib.foundations.errors import CalibError
 from calib.job.photographs import import_photographs

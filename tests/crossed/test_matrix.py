@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 import calib
 from calib.assessment import choice
-from calib.cli import app
+from calib.cli.whole import app
 from calib.foundations.errors import CalibError
 from calib.job.inputs import load
 from calib.job.run import run as run_job

@@ -21,7 +21,7 @@ from sybil.parsers.myst import CodeBlockParser, PythonCodeBlockParser
 from typer.main import get_command
 
 import calib
-from calib.cli.application import app
+from calib.cli.whole import app
 from tests.support.cases import CASE, ROOT, TABLE, run
 
 DOCS = ROOT / "docs"
