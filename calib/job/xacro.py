@@ -1,14 +1,24 @@
 """From a xacro file to a URDF, by the package xacro: in a process of its own, since it runs the file's code."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 from calib.foundations.errors import RobotError
-from calib.foundations.words import shown
 
-_SECONDS = 60
-_RUN = "import sys, xacro; sys.argv = ['xacro', sys.argv[1]]; xacro.main()"
+# By the clock, and of the processor. The largest robots that we know take 2 s and 100 MB.
+_SECONDS, _OF_PROCESSOR, _MOST_BYTES = 60, 8, 1_000_000_000
+_LIMITS = f"""
+import contextlib, resource
+for kind, most in ((resource.RLIMIT_CPU, {_OF_PROCESSOR}), (resource.RLIMIT_AS, {_MOST_BYTES})):
+    with contextlib.suppress(ValueError, OSError):  # a lower limit stands, or the system knows none
+        resource.setrlimit(kind, (most, most))
+"""
+_RUN = f"{_LIMITS}\nimport sys, xacro; sys.argv = ['xacro', sys.argv[1]]; xacro.main()"
+_LONGEST = 200  # characters of what it says
+# How a process ends that has used up its time.
+_USED_UP = (-signal.SIGXCPU, -signal.SIGKILL)
 
 
 def expanded(path: Path) -> bytes:
@@ -24,9 +34,16 @@ def expanded(path: Path) -> bytes:
         done = subprocess.run(command, capture_output=True, timeout=_SECONDS, check=False, stdin=subprocess.DEVNULL)
     except subprocess.TimeoutExpired as e:
         raise RobotError(f"{path}: xacro did not end within {_SECONDS} s.") from e
+    if done.returncode in _USED_UP:
+        raise RobotError(f"{path}: xacro took more than {_OF_PROCESSOR} s of processor time, which are allowed.")
     if done.returncode:
         said = [line for line in done.stderr.decode(errors="replace").splitlines() if line.strip()] or ["nothing"]
         if any("No module named 'xacro'" in line for line in said):
             raise RobotError(f"{path}: needs the package xacro: pip install 'urdf-calib[xacro]'.")
-        raise RobotError(f"{path}: xacro says {shown(said[-1].strip())}.")
+        if said[0].strip() == "error:" or any("MemoryError" in line for line in said):
+            raise RobotError(f"{path}: xacro needs more than the {_MOST_BYTES} bytes of memory that are allowed.")
+        # What is wrong stands first, and then where; of a traceback it stands last.
+        first = next((line for line in said if not line.lower().startswith("warning")), said[0])
+        what = said[-1] if first.startswith("Traceback") else first
+        raise RobotError(f"{path}: xacro says {what.strip().removeprefix('error: ')[:_LONGEST]!r}.")
     return done.stdout

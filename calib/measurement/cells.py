@@ -12,6 +12,11 @@ _BLOCK = 1_000_000  # bytes; more than a line takes that is not too long
 _ARCHIVE = b"PK\x03\x04"
 # What .xls begins with, and the name of the first member of an .ods, at its place.
 _OLE, _OPEN_DOCUMENT = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", (30, b"mimetype")
+# What other programs pack or write, by its first bytes, and what to do.
+_OTHERS = {
+    b"\x1f\x8b": "is packed by gzip, and no text; unpack it: gzip -d.",
+    b"\x93NUMPY": "is an array of NumPy, and no text; numpy.savez writes an .npz, of which calib import makes a table.",
+}
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # What exporters write before a line that is no row; behind a percent sign a name may stand, as rostopic has it: %time.
 _COMMENT = re.compile(r"\s*(?:#|//|%(?:$|[\s%=-]))")
@@ -68,6 +73,9 @@ def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
             else "call it .xlsx, and calib import makes a table of it."
         )
         raise MeasurementError(f"{where}: is a workbook, and no text; {to_do}")
+    for begin, said in _OTHERS.items():
+        if data.startswith(begin):
+            raise MeasurementError(f"{where}: {said}")
     if (nul := data.find(b"\0")) >= 0:
         raise MeasurementError(f"{where}:{_line_at(data, nul)}: has a NUL byte; a table is UTF-8 text.")
     start, number = len(b"\xef\xbb\xbf") if data.startswith(b"\xef\xbb\xbf") else 0, 1

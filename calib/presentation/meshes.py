@@ -1,30 +1,18 @@
-"""Triangles: the simple shapes a scene is drawn with, and mesh files.
+"""Triangles: the simple shapes a scene is drawn with, and meshes with fewer faces."""
 
-A mesh is decoration: whatever is wrong with one (missing, outside the roots, broken), the scene is drawn without it.
-"""
-
-import io
 import itertools
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
 from calib.foundations.arrays import Array, IntArray, read_only
-from calib.foundations.files import DAMAGED
 from calib.foundations.units import DEG
-from calib.robot.mesh_counts import MOST_CORNERS, counts
+from calib.robot.mesh_files import Rgb, Triangles
 
-Rgb = tuple[float, float, float]
-
-# Formats that hold a mesh and nothing else: trimesh would also open archives, drawings and CAD files.
-_FORMATS = {".dae", ".stl", ".obj", ".ply", ".off", ".glb"}
-LARGEST_FILE = 200_000_000
 # Edges sharper than this stay edges; the browser shades the rest smoothly.
 _CREASE = 30.0 * DEG
 # Of a mesh's size: vertices nearer than this are one.
@@ -37,22 +25,6 @@ _KEENNESS = (5, 6, 7)
 # Of the cells of grids that simplify; the first one is so many times finer than it might be.
 _GROWTH = 1.4
 _SAFETY = 3.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Triangles:
-    """Triangles of one colour: vertices (V, 3) in m, faces (F, 3) of vertex indices, and red, green, blue in 0..1."""
-
-    vertices: Array
-    faces: IntArray
-    rgb: Rgb
-
-
-class Mesh(NamedTuple):
-    """The triangles of a file, and how many corners it has or asks for."""
-
-    parts: tuple[Triangles, ...]
-    corners: int
 
 
 def balls(centres: Array, radius: float, rgb: Rgb, subdivisions: int = 0) -> Triangles:
@@ -118,50 +90,6 @@ def primitive(kind: str, sizes: Sequence[float], rgb: Rgb, faces: int = 1280) ->
     else:
         mesh = creation.cylinder(radius=sizes[0], height=sizes[1], sections=min(max(faces // 4, 5), 48))
     return Triangles(np.asarray(mesh.vertices), np.asarray(mesh.faces), rgb)
-
-
-def joined_by_colour(parts: Sequence[Triangles]) -> tuple[Triangles, ...]:
-    """Return the same triangles with all parts of one colour joined, in the order in which colours first appear."""
-    colours = dict.fromkeys(part.rgb for part in parts)
-    return tuple(_concatenated([part for part in parts if part.rgb == rgb], rgb) for rgb in colours)
-
-
-def moved(part: Triangles, T: Array) -> Triangles:
-    """Return the triangles moved by the placement (or any affine map) ``T`` (4, 4)."""
-    return Triangles(part.vertices @ T[:3, :3].T + T[:3, 3], part.faces, part.rgb)
-
-
-def parse_mesh(data: bytes, suffix: str, otherwise: Rgb, spare: int = MOST_CORNERS) -> Mesh | None:
-    """Return the triangles of a mesh file in m, in its own colours or ``otherwise``; None when the file is unusable.
-
-    It is unusable as well when its triangles have more corners than the file has bytes and ``spare`` ones, or are in
-    too many parts. ``suffix``: of the file, as ``.stl``.
-    Nothing else is opened: textures and material libraries beside it are not followed.
-    """
-    if suffix not in _FORMATS:
-        return None
-    import trimesh  # noqa: PLC0415 - slow to load
-    from collada.common import DaeError  # noqa: PLC0415
-
-    try:
-        told = counts(data, suffix)
-        if not told.within(spare + len(data)):
-            return None
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=None)
-            # COLLADA states its unit, and ROS viewers obey it.
-            unit = 1.0 if scene.units is None else trimesh.units.unit_conversion(scene.units, "meters")
-            parts = [
-                moved(_triangles(scene.geometry[name], otherwise), T @ np.diag([unit, unit, unit, 1.0]))
-                for T, name in map(scene.graph.get, scene.graph.nodes_geometry)
-                if isinstance(scene.geometry[name], trimesh.Trimesh)
-            ]
-    except (DaeError, *DAMAGED):
-        return None
-    corners = 3 * sum(len(part.faces) for part in parts)
-    usable = 0 < corners <= spare + len(data) and all(np.isfinite(part.vertices).all() for part in parts)
-    return Mesh(joined_by_colour(parts), max(corners, told.corners)) if usable else None
 
 
 def simplified(parts: Sequence[Triangles], most_faces: int) -> tuple[Triangles, ...]:
@@ -238,24 +166,8 @@ def _creased(part: Triangles) -> Triangles:
     return Triangles(part.vertices[doubled % len(part.vertices)], index.reshape(-1, 3), part.rgb)
 
 
-def _triangles(mesh: Any, otherwise: Rgb) -> Triangles:
-    material = getattr(mesh.visual, "material", None)
-    named = mesh.visual if material is None else material
-    r, g, b = (c / 255.0 for c in named.main_color[:3].tolist()) if mesh.visual.defined else otherwise
-    return Triangles(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces), (r, g, b))
-
-
 def _repeated(faces: npt.NDArray[np.integer], n: int) -> IntArray:
     return np.asarray((faces + np.arange(n)[:, None, None] * (faces.max() + 1)).reshape(-1, 3), dtype=np.intp)
-
-
-def _concatenated(parts: Sequence[Triangles], rgb: Rgb) -> Triangles:
-    first = np.cumsum([0] + [len(part.vertices) for part in parts])
-    return Triangles(
-        np.concatenate([part.vertices for part in parts]),
-        np.concatenate([part.faces + i for part, i in zip(parts, first, strict=False)]),
-        rgb,
-    )
 
 
 def _clustered(part: Triangles, cell: float) -> Triangles:

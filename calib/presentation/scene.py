@@ -20,12 +20,13 @@ from calib.foundations.rigid import inverse, translation
 from calib.foundations.units import MM
 from calib.foundations.words import counted
 from calib.presentation import viewer
-from calib.presentation.meshes import Rgb, Triangles, balls, creased, joined_by_colour, moved, primitive, sticks
+from calib.presentation.meshes import balls, creased, primitive, sticks
 from calib.presentation.page_files import page_file, template
 from calib.presentation.thin_meshes import thin_mesh
 from calib.presentation.visuals import LARGEST, MOST_SHAPES, Shape, visuals
 from calib.robot.links import Arm, link_placements
 from calib.robot.mesh_counts import MOST_CORNERS
+from calib.robot.mesh_files import Rgb, Triangles, joined_by_colour, moved
 from calib.robot.sources import find_mesh
 from calib.robot.urdf import Urdf
 

@@ -1,7 +1,6 @@
 """Mesh files as a scene draws them: thinned and shaded once, and kept in the user's cache by what they hold."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache as once
 from importlib.metadata import version
@@ -14,9 +13,10 @@ from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes, sha256
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.presentation import meshes
-from calib.presentation.meshes import Rgb, Triangles, creased, parse_mesh, simplified
-from calib.robot import mesh_counts
+from calib.presentation.meshes import creased, simplified
+from calib.robot import mesh_counts, mesh_files
 from calib.robot.mesh_counts import MOST_CORNERS
+from calib.robot.mesh_files import LARGEST_FILE, Rgb, Triangles, is_sound, parse_mesh
 
 _LIBRARIES = ("trimesh", "pycollada", "fast-simplification", "numpy")
 
@@ -36,7 +36,7 @@ def thin_mesh(path: Path, otherwise: Rgb, most_faces: int, spare: int = MOST_COR
     None when the file is unusable, or too much, as :func:`calib.presentation.meshes.parse_mesh` has it.
     """
     try:
-        data = read_bytes(path, RobotError, meshes.LARGEST_FILE)
+        data = read_bytes(path, RobotError, LARGEST_FILE)
     except RobotError:
         return None
     suffix = path.suffix.lower()
@@ -57,7 +57,7 @@ def thin_mesh(path: Path, otherwise: Rgb, most_faces: int, spare: int = MOST_COR
 @once
 def _maker() -> str:
     """Return what tells whether meshes are made as they were: our own code, and the libraries."""
-    own = [sha256(Path(str(module.__file__)).read_bytes()) for module in (meshes, mesh_counts)]
+    own = [sha256(Path(str(module.__file__)).read_bytes()) for module in (meshes, mesh_files, mesh_counts)]
     return " ".join([*own, *map(version, _LIBRARIES)])
 
 
@@ -83,11 +83,6 @@ def _unpacked(data: bytes, size: int) -> ThinMesh | None:
             faces = np.frombuffer(rest, "<i4", 3 * sizes[1], vertices.nbytes).reshape(-1, 3)
             rest = rest[vertices.nbytes + faces.nbytes :]
             parts.append(Triangles(vertices.astype(np.float64), faces.astype(np.intp), (red, green, blue)))
-        return ThinMesh(tuple(parts), int(told["corners"]), size) if _sound(parts) and not rest else None
+        return ThinMesh(tuple(parts), int(told["corners"]), size) if all(map(is_sound, parts)) and not rest else None
     except (NotJsonError, LookupError, TypeError, ValueError):
         return None
-
-
-def _sound(parts: Sequence[Triangles]) -> bool:
-    finite = all(np.isfinite(part.vertices).all() for part in parts)
-    return finite and all(((part.faces >= 0) & (part.faces < len(part.vertices))).all() for part in parts)

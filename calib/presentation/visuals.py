@@ -21,7 +21,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.files import sha256
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.foundations.xml_text import Element
-from calib.presentation.meshes import Rgb
+from calib.robot.mesh_files import Rgb
 from calib.robot.urdf import Urdf, read_document
 
 # In m, of sizes, places and scales: larger ones are mistakes, and would make all else a dot.

@@ -6,8 +6,6 @@ is left out, and said.
 """
 
 import itertools
-import re
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,16 +23,14 @@ from calib.foundations.files import read_bytes
 from calib.foundations.ranges import refuse_shape
 from calib.foundations.xml_text import Element
 from calib.robot.links import arm_of, link_placements
-from calib.robot.mesh_counts import MOST_CORNERS, counts
+from calib.robot.mesh_files import LARGEST_FILE, joined, parse_mesh
 from calib.robot.robot import Robot
 from calib.robot.sampling import random_readings
 from calib.robot.sources import find_mesh
 from calib.robot.urdf import LARGEST_NUMBER, Urdf, read_document
 
-_LARGEST_MESH = 200_000_000
-# Corners: the reader of meshes takes the square of them to make triangles of a polygon.
-_LARGEST_POLYGON = 255
 _FORMATS = {".dae", ".stl", ".obj", ".ply"}
+_GREY = (0.5, 0.5, 0.5)
 # Poses that are tried to find bodies that always touch; by chance alone none would in all of them.
 _SAMPLES = 200
 # Of a robot; those that we know have up to 150.
@@ -272,33 +268,26 @@ def _mesh(attributes: Mapping[str, str], roots: Sequence[Path], meshes: _Meshes,
 
 
 def _read_mesh(path: Path, scale: Array, what: str) -> object:
-    try:
-        data = read_bytes(path, RobotError, _LARGEST_MESH)
-        suffix = path.suffix.lower()
-        data = _without_materials(data) if suffix == ".obj" else data
-        found = counts(data, suffix)
-        if not found.within(MOST_CORNERS + len(data)) or found.polygon > _LARGEST_POLYGON:
-            raise RobotError(f"{what}, which is too large to be judged.")
-        # The reader opens files by name, and of an OBJ the materials that it names: it gets a copy that stands alone.
-        with tempfile.TemporaryDirectory() as folder:
-            alone = Path(folder) / f"mesh{suffix}"
-            alone.write_bytes(data)
-            mesh = coal.MeshLoader().load(str(alone), scale)
-        # Corners may be anything, and what is compared with no number is never near.
-        if not np.abs(mesh.vertices()).max(initial=0.0) <= LARGEST_NUMBER:
-            raise ValueError
-        return mesh
-    except RobotError:
-        raise
-    except (RuntimeError, ValueError, OSError, MemoryError) as e:
-        why = f" ({e.strerror})" if isinstance(e, OSError) and e.strerror else ""
-        raise RobotError(f"{what}, which cannot be read{why}, and is not judged.") from e
-
-
-def _without_materials(data: bytes) -> bytes:
-    """Return an OBJ without lines that start with an m (``mtllib``, ``mg``), also where a line goes on in the next."""
-    lines = re.sub(rb"\r\n?", b"\n", data)
-    return re.sub(rb"(?m)^[ \t\v\f]*[mM].*$", b"", lines.replace(b"\\\n", b" "))
+    data = read_bytes(path, RobotError, LARGEST_FILE)
+    suffix = path.suffix.lower()
+    mesh = parse_mesh(data, suffix, _GREY)
+    if mesh is None:
+        raise RobotError(f"{what}, which cannot be read or is too large, and is not judged.")
+    found = joined([part for part in mesh.parts if len(part.faces)], _GREY)
+    vertices = found.vertices * scale
+    if np.abs(vertices).max() > LARGEST_NUMBER:
+        raise RobotError(f"{what}, which has corners beyond {LARGEST_NUMBER:g} m, and is not judged.")
+    corners = vertices[found.faces]
+    # What has two corners in one place is no triangle.
+    faces = found.faces[(corners != corners[:, [1, 2, 0]]).any(axis=2).all(axis=1)]
+    if not len(faces):
+        raise RobotError(f"{what}, which has no triangles, and is not judged.")
+    shape = coal.BVHModelOBBRSS()
+    shape.beginModel(len(faces), len(vertices))
+    shape.addVertices(vertices)
+    shape.addTriangles(faces)
+    shape.endModel()
+    return shape
 
 
 def _numbers(text: str, count: int, at: str) -> Array:

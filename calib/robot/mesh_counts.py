@@ -5,7 +5,6 @@ counted: their points are all in the file.
 """
 
 import json
-import re
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -16,19 +15,14 @@ from calib.foundations.xml_text import Element, read_xml
 MOST_CORNERS = 600_000
 MOST_PARTS = 1000
 _HEADER = 12
-# Lines of text that a polygon of more than a hundred corners needs; and lists of a PLY that are counted by more than a
-# byte, in which any number of corners may come.
-_LONG_LINE = re.compile(rb"[^\r\n]{200,}")
-_WIDE_LIST = re.compile(rb"property[ \t]+list[ \t]+(?!(?:u?char|u?int8)[ \t])")
 _WORDS_BEFORE_A_PART = {".obj": (b"\no ", b"\ng ", b"\nusemtl "), ".stl": (b"solid ",)}
 
 
 class Counts(NamedTuple):
-    """Corners of triangles, and parts, of a mesh; and corners of its largest polygon."""
+    """Corners of triangles, and parts, of a mesh."""
 
     corners: int
     parts: int
-    polygon: int = 0
 
     def within(self, corners: int) -> bool:
         """Return whether there are no more than so many corners, and parts as few as are drawn."""
@@ -44,15 +38,7 @@ def counts(data: bytes, suffix: str) -> Counts:
         return _of_glb(data)
     if suffix == ".dae":
         return _of_collada(data)
-    polygon = _longest_line(data) if suffix in (".obj", ".ply") else 0
-    if suffix == ".ply" and _WIDE_LIST.search(data):
-        polygon = len(data)
-    return Counts(0, sum(map(data.count, _WORDS_BEFORE_A_PART.get(suffix, ()))), polygon)
-
-
-def _longest_line(data: bytes) -> int:
-    """Return how many words follow the first of a line at most, of lines that may have many."""
-    return max((len(line.split()) - 1 for line in _LONG_LINE.findall(data)), default=0)
+    return Counts(0, sum(map(data.count, _WORDS_BEFORE_A_PART.get(suffix, ()))))
 
 
 def _of_glb(data: bytes) -> Counts:
@@ -126,7 +112,7 @@ def _of_collada(data: bytes) -> Counts:
 
 
 def _of_geometry(geometry: Element) -> Counts:
-    corners = parts = polygon = 0
+    corners = parts = 0
     for primitive in geometry.descendants():
         kind = _tag(primitive)
         if kind in ("triangles", "polylist", "polygons", "tristrips", "trifans", "lines", "linestrips"):
@@ -136,12 +122,7 @@ def _of_geometry(geometry: Element) -> Counts:
             # A polygon of n corners is n - 2 triangles.
             corners += sum(words) // each * (1 if kind in ("triangles", "lines") else 3)
             parts += 1
-            if kind in ("polygons", "trifans"):
-                polygon = max(polygon, max(words, default=0) // each)
-            elif kind == "polylist":
-                counted = (int(n) for vcount in _below(primitive, "vcount") for n in vcount.text.split())
-                polygon = max(polygon, max(counted, default=0))
-    return Counts(corners, parts, polygon)
+    return Counts(corners, parts)
 
 
 def _called(nodes: Iterable[Element], by: Sequence[str]) -> dict[str, list[Element]]:
@@ -163,12 +144,8 @@ def _tag(element: Element) -> str:
 
 
 def _sum(found: list[Counts]) -> Counts:
-    return Counts(sum(one.corners for one in found), sum(one.parts for one in found), _largest(found))
+    return Counts(sum(one.corners for one in found), sum(one.parts for one in found))
 
 
 def _most(found: list[Counts]) -> Counts:
-    return Counts(max(one.corners for one in found), max(one.parts for one in found), _largest(found))
-
-
-def _largest(found: list[Counts]) -> int:
-    return max((one.polygon for one in found), default=0)
+    return Counts(max(one.corners for one in found), max(one.parts for one in found))

@@ -48,7 +48,7 @@ from calib.measurement.table import read_table
 from calib.measurement.touches import touches
 from calib.presentation.fleet_tables import fleet_report
 from calib.presentation.live import answer, sliders
-from calib.presentation.meshes import parse_mesh, primitive
+from calib.presentation.meshes import primitive
 from calib.presentation.visuals import visuals
 from calib.results.calibration import Calibration
 from calib.results.folder import result, robot_errors
@@ -56,6 +56,7 @@ from calib.robot import dh
 from calib.robot.collision import self_collision
 from calib.robot.conditions import ordinary
 from calib.robot.load import load_robot
+from calib.robot.mesh_files import parse_mesh
 from calib.robot.robot import Reading
 from calib.robot.urdf import Urdf, inertials, parse_urdf, read_urdf
 from calib.robot.urdf_writer import splice_origins

@@ -190,7 +190,7 @@ def _fork(folder: Path, size: int) -> None:
 
 
 def _mesh(name: str, data: Callable[[int], bytes], times: int = 1, *, judged: bool = False) -> Hostile:
-    """A mesh that is drawn, or judged for collisions, which another library reads."""
+    """A mesh that is drawn, or judged for collisions."""
     element = "collision" if judged else "visual"
 
     def write(folder: Path, size: int) -> None:

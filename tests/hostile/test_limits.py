@@ -21,12 +21,13 @@ from calib.measurement import roles
 from calib.measurement.kinds import Kind
 from calib.measurement.read import read_measurements
 from calib.presentation import meshes, scene
-from calib.presentation.meshes import parse_mesh, simplified
+from calib.presentation.meshes import simplified
 from calib.presentation.thin_meshes import ThinMesh, thin_mesh
 from calib.presentation.visuals import MOST_SHAPES, visuals
 from calib.robot.links import arm_of, link_placements
 from calib.robot.load import load_robot
 from calib.robot.mesh_counts import MOST_CORNERS, MOST_PARTS, counts
+from calib.robot.mesh_files import parse_mesh
 from calib.robot.urdf import MOST_JOINTS, MOST_LINKS, Urdf, parse_urdf, read_urdf
 from scripts.development import hostile_files
 from scripts.development.hostile_files import HOSTILE, fill

@@ -84,6 +84,11 @@ def test_line_ends_and_marks(tmp_path: Path, end: str, mark: str) -> None:
     ("contents", "sentence"),
     [
         ((HEADER + "1, 2, a\n").encode("utf-16")[:-1], ": is not whole UTF-16 text; save it as UTF-8."),
+        (b"\x1f\x8b\x08" + bytes(20), ": is packed by gzip, and no text; unpack it: gzip -d."),
+        (
+            b"\x93NUMPY\x01\0" + bytes(20),
+            ": is an array of NumPy, and no text; numpy.savez writes an .npz, of which calib import makes a table.",
+        ),
         ((HEADER + "1, 2, a\n").encode("utf-16-le"), ":1: has a NUL byte; a table is UTF-8 text."),
         ((HEADER + "1, 2, M\u0081ller\n").encode("latin-1"), ":2: is not UTF-8 text; save it as UTF-8."),
         (HEADER + "1, 2, a\0b\n", ":2: has a NUL byte; a table is UTF-8 text."),

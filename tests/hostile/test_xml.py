@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from calib.foundations.errors import RobotError
-from calib.presentation.meshes import parse_mesh, primitive
+from calib.presentation.meshes import primitive
 from calib.presentation.visuals import visuals
 from calib.robot.load import MOST_JOINTS, load_robot
+from calib.robot.mesh_files import parse_mesh
 from calib.robot.robot import Coupling
 from calib.robot.sources import find_mesh
 from calib.robot.urdf import parse_urdf

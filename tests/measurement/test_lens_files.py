@@ -50,6 +50,19 @@ def test_numbers_as_cpp_writes_them_are_no_texts(tmp_path: Path) -> None:
             read(tmp_path, ROS.replace("0.003", wrong))
 
 
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        "[900.5, 0, 0, 0, 901.5, 0, 640.25, 360.75, 1]",
+        "[900.5, 3, 640.25, 0, 901.5, 360.75, 0, 0, 1]",
+        "[900.5, 0, 640.25, 0, 901.5, 360.75, 0, 0, 2]",
+    ],
+)
+def test_a_camera_matrix_by_columns_with_skew_or_scaled_is_refused(tmp_path: Path, matrix: str) -> None:
+    with pytest.raises(JobError, match="read is fx, 0, cx, 0, fy, cy, 0, 0, 1, row by row"):
+        read(tmp_path, ROS.replace("[900.5, 0, 640.25, 0, 901.5, 360.75, 0, 0, 1]", matrix))
+
+
 def test_kalibr(tmp_path: Path) -> None:
     assert read(tmp_path, KALIBR) == (LENS._replace(k3=0.0), (1280, 720))
 

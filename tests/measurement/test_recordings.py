@@ -198,7 +198,7 @@ def test_an_export_of_motive_has_its_rigid_body(tmp_path: Path) -> None:
 
 def test_exports_of_motive_without_their_header_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "take.csv"
-    for cut, said in (("Time (Seconds)", "no column of time"), (",Name", "lacks the lines of its header")):
+    for cut, said in (("Time (Seconds)", "no column 'Time"), (",Name", "lacks the lines of its header")):
         lines = [line for line in MOTIVE.splitlines() if not line.startswith(cut)]
         lines = [line.replace("Time (Seconds)", "") for line in lines]
         if cut == ",Name":
@@ -206,6 +206,37 @@ def test_exports_of_motive_without_their_header_are_refused(tmp_path: Path) -> N
         path.write_text("\n".join(lines))
         with pytest.raises(MeasurementError, match=said):
             read_sheet(path)
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ("2,0.033,0,0", r":\d+: has 4 cells, and its columns are \d+\."),
+        ("2,0.033,0,0,0.6,0.8,1.1,2.0,3;0", r":\d+: '3;0' is not a number like 12.5 or 1.25e1\."),
+    ],
+)
+def test_a_row_of_motive_that_is_no_lost_frame_is_not_left_out(tmp_path: Path, row: str, says: str) -> None:
+    path = tmp_path / "take.csv"
+    path.write_text(f"{MOTIVE.rstrip()}\n{row}\n")
+    with pytest.raises(MeasurementError, match=says):
+        read_sheet(path)
+
+
+def test_numbers_units_and_rotations_of_motive_are_those_that_it_states(tmp_path: Path) -> None:
+    path = tmp_path / "take.csv"
+    path.write_text(MOTIVE.replace("1.1,", "+1.1E+0,"))
+    assert len(read_sheet(path).rows) == 2
+    path.write_text(MOTIVE.replace("Quaternion", "XYZ"))
+    assert read_sheet(path).remarks[0].endswith("; its rotations are 'XYZ', not Quaternion, and left out")
+    path.write_text(MOTIVE.replace("Time (Seconds)", "Time (Milliseconds)"))
+    with pytest.raises(MeasurementError, match=r"has no column 'Time \(Seconds\)'"):
+        read_sheet(path)
+
+
+def test_a_table_in_degrees_with_the_names_of_rtde_is_no_log_of_it(tmp_path: Path) -> None:
+    names = ["timestamp", *(f"actual_q_{k} [deg]" for k in range(6))]
+    (tmp_path / "log.csv").write_text(f"{','.join(names)}\n{','.join('0' * 7)}\n")
+    assert read_sheet(tmp_path / "log.csv").titles == tuple(names)
 
 
 def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path: Path) -> None:

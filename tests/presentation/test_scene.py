@@ -15,12 +15,13 @@ from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, placement, rotation_about
 from calib.job.inputs import load
 from calib.job.run import run
-from calib.presentation.meshes import balls, parse_mesh, sticks
+from calib.presentation.meshes import balls, sticks
 from calib.presentation.scene import SCALE, Mark, Scene, _shape, magnification, render_scene
 from calib.presentation.thin_meshes import thin_mesh
 from calib.results.scene import _as_touched, scene_of
 from calib.robot.links import arm_of, link_placements
 from calib.robot.load import load_robot
+from calib.robot.mesh_files import parse_mesh
 from calib.robot.robot import ClosedLoop, Deviations
 from calib.robot.sources import find_mesh
 from calib.robot.urdf import parse_urdf

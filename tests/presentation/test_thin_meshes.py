@@ -10,8 +10,9 @@ import trimesh
 
 from calib.foundations import cache
 from calib.presentation import thin_meshes
-from calib.presentation.meshes import Triangles, balls, creased, parse_mesh, primitive, simplified
+from calib.presentation.meshes import balls, creased, primitive, simplified
 from calib.presentation.thin_meshes import thin_mesh
+from calib.robot.mesh_files import Triangles, parse_mesh
 from calib.robot.sources import examples_folder
 from tests.presentation.test_scene import page_of, render_scene, scene
 

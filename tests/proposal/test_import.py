@@ -65,6 +65,8 @@ def test_arrays(folder: Path) -> None:
     names = understood(folder / "b.csv")
     assert [names[key] for key in ("shoulder_pan_joint [deg]", "x [m]", "r12")] == ["joints_0", "T_0_3", "T_0_1"]
     held = read_sheet(folder / "m.npz")
+    left = "'rate', 'log', 'any' are no arrays of numbers or words with 40 rows, and left out"
+    assert held.remarks == (left,)
     assert float(held.rows[3][held.titles.index("p_y")]) == s.position[3, 1]
     (folder / "cut.npz").write_bytes((folder / "m.npz").read_bytes()[:900])
     said = run("import", "cut.npz", "-o", "c.csv")
@@ -424,3 +426,30 @@ def test_files_that_cannot_stand_below_each_other(folder: Path, second: str | No
     assert not (folder / "out.csv").exists()
     both = run("import", "hole_0.csv", name, "--stack", title, "--by", "order", "-o", "out.csv")
     assert both.code == 2
+
+
+@pytest.mark.parametrize(
+    ("number", "says"),
+    [
+        (b"2", "row 2 stands behind row 2; rows are numbered upwards, to 1048576. Save the workbook again."),
+        (
+            b"999999999",
+            "row 999999999 stands behind row 2; rows are numbered upwards, to 1048576. Save the workbook again",
+        ),
+    ],
+)
+def test_rows_of_a_workbook_that_do_not_follow_each_other_are_refused(folder: Path, number: bytes, says: str) -> None:
+    """openpyxl leaves out rows that go back, and gives every row before one, be it there or not."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (("x [mm]",), (1,), (2,)):
+        book.active.append(row)
+    book.save(folder / "whole.xlsx")
+    with zipfile.ZipFile(folder / "whole.xlsx") as whole, zipfile.ZipFile(folder / "a.xlsx", "w") as archive:
+        for name in whole.namelist():
+            part = whole.read(name)
+            archive.writestr(
+                name, part.replace(b'<row r="3"', b'<row r="%s"' % number).replace(b'"A3"', b'"A%s"' % number)
+            )
+    with pytest.raises(calib.MeasurementError, match=f"^a.xlsx: {says}"):
+        read_sheet("a.xlsx")

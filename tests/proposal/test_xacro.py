@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.job import xacro as of_xacro
 from calib.job.xacro import expanded
 from calib.robot.urdf import parse_urdf
 from tests.proposal.test_init import put
@@ -38,6 +39,31 @@ def test_xacro_runs_when_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert said.err.startswith("Error: broken.xacro: xacro says '")
     assert len(said.err.splitlines()) == 1
     assert run("init", "no.xacro", "measured.csv", "--xacro").err == "Error: no.xacro: there is no such file.\n"
+
+
+@pytest.mark.parametrize(
+    ("inside", "says"),
+    [
+        ('<link name="${nothing}"/>', "xacro says \"name 'nothing' is not defined\"."),
+        ('<xacro:if value="maybe"/>', "which is not a boolean expression.'."),
+        (
+            "<link name=\"${len('x' * 2000000000)}\"/>",
+            "xacro needs more than the 1000000000 bytes of memory that are allowed.",
+        ),
+        ('<link name="${9**9**9}"/>', "xacro took more than 1 s of processor time, which are allowed."),
+    ],
+)
+def test_what_is_wrong_in_a_xacro_file_is_said_and_its_time_and_memory_are_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, inside: str, says: str
+) -> None:
+    pytest.importorskip("xacro")
+    monkeypatch.setattr(of_xacro, "_RUN", of_xacro._RUN.replace("RLIMIT_CPU, 8", "RLIMIT_CPU, 1"))
+    monkeypatch.setattr(of_xacro, "_OF_PROCESSOR", 1)
+    (tmp_path / "a.xacro").write_text(XACRO.replace("</robot>", f"{inside}</robot>"))
+    with pytest.raises(calib.RobotError) as raised:
+        expanded(tmp_path / "a.xacro")
+    assert str(raised.value).startswith(f"{tmp_path / 'a.xacro'}: xacro ")
+    assert str(raised.value).endswith(says)
 
 
 def test_xacro_runs_again_and_takes_no_module_from_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
+from calib.foundations.words import counted, listed
 
 # Of the archive unpacked.
 _LARGEST = 200_000_000
@@ -22,11 +23,11 @@ _MOST_VALUES = 4_000_000
 _JOINTS = re.compile(r"q(?![a-z])|joint|angle|theta", re.IGNORECASE)
 
 
-def from_npz(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """Return titles and cells of arrays (N,), (N, k) or (N, i, j); N is the first length that most arrays share.
+def from_npz(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]:
+    """Return titles and cells of arrays (N,), (N, k) or (N, i, j), and remarks; N is the length that most arrays share.
 
     The columns of an array ``q`` are ``q_0``, ``q_1``, ..., those of a point (N, 3) ``p_x``, ``p_y``, ``p_z``, those of
-    matrices ``T_0_3``. Other arrays, and such as hold neither numbers nor words, are left out.
+    matrices ``T_0_3``. Other arrays, and such as hold neither numbers nor words, are left out, and said.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -34,7 +35,8 @@ def from_npz(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[
         if size > _LARGEST:
             raise MeasurementError(f"{where}: unpacks to more than {_LARGEST} bytes.")
         with np.load(io.BytesIO(data), allow_pickle=False) as held:
-            arrays = {name: array for name in held.files if (array := _readable(held, name)) is not None}
+            names = list(dict.fromkeys(held.files))
+            arrays = {name: array for name in names if (array := _readable(held, name)) is not None}
     except MeasurementError:
         raise
     except (zipfile.BadZipFile, tokenize.TokenError, *DAMAGED) as e:
@@ -50,7 +52,10 @@ def from_npz(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[
     if width * rows > _MOST_VALUES:
         raise MeasurementError(f"{where}: has {width * rows} values; allowed are {_MOST_VALUES}.")
     columns = [column for name, array in taken.items() for column in _columns(name, array)]
-    return [title for title, _ in columns], list(zip(*(cells for _, cells in columns), strict=True))
+    left = [name for name in names if name not in taken]
+    what = "is no array" if len(left) == 1 else "are no arrays"
+    said = (f"{listed(left)} {what} of numbers or words with {counted(rows, 'row')}, and left out",) if left else ()
+    return [title for title, _ in columns], list(zip(*(cells for _, cells in columns), strict=True)), said
 
 
 def _readable(held: "np.lib.npyio.NpzFile", name: str) -> npt.NDArray[np.generic] | None:

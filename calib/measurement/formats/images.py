@@ -3,7 +3,9 @@
 OpenCV (Apache-2.0, extra ``calib[vision]``) tells which corner is which; where it is, :mod:`.corners` fits.
 """
 
+import contextlib
 import os
+import struct
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +17,8 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.linear import svd
+from calib.foundations.native import heard
+from calib.foundations.words import shown
 from calib.measurement.formats.corners import LEAST_RADIUS, refine
 from calib.measurement.prints import Print
 
@@ -26,6 +30,13 @@ LARGEST_IMAGE, MOST_PIXELS, SMALLEST_SIDE = 200_000_000, 160_000_000, 16
 _FEW_PIXELS, _PIXELS_OF_A_BYTE = 20_000_000, 30
 # OpenCV looks at this when it is loaded, and then before it unpacks an image.
 _BOUND = "OPENCV_IO_MAX_IMAGE_PIXELS"
+# TIFF and BigTIFF by their first bytes: byte order, type of an offset and of the number of entries, bytes of an entry.
+_TIFF = {b"II*\0": ("<", "I", "H", 12), b"MM\0*": (">", "I", "H", 12)}
+_TIFF |= {b"II+\0": ("<", "Q", "Q", 20), b"MM\0+": (">", "Q", "Q", 20)}
+# Number of this entry, and that of its type.
+_ORIENTATION = (274, 3)
+# What libjpeg says of data that it had to guess: what follows in the image may stand elsewhere.
+_DAMAGED = "Corrupt JPEG data: "
 # Pixels looked at around a corner, as a share of the way to what is printed next to it.
 _SHARE = 0.85
 # How near to its horizon a mark of a board may lie, where its middle is at 1.
@@ -94,11 +105,17 @@ def marker_bits(print_: Print) -> list[BoolArray]:
 
 
 def read_image(file: Path) -> Array:
-    """Return an image as grey values (h, w) of 8 bits. Raises MeasurementError for what is none."""
+    """Return an image as grey values (h, w) of 8 bits, as it lies on the sensor: a turn that its file asks for is not.
+
+    Cameras that feel which way is up ask for another turn in each photograph of a moving wrist, and a lens has none.
+    Raises MeasurementError for what is no image, and for a damaged one.
+    """
     data = read_bytes(file, MeasurementError, LARGEST_IMAGE)
     cv2 = opencv()
+    way = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+        with heard() as said:
+            image = cv2.imdecode(np.frombuffer(_unturned(data), np.uint8), way) if data else None
     except cv2.error as e:
         if "_MAX_IMAGE_" in e.err:
             most = MOST_PIXELS // 1_000_000
@@ -106,6 +123,8 @@ def read_image(file: Path) -> Array:
         raise MeasurementError(f"{file}: OpenCV cannot read this image ({e.err}).") from e
     if image is None:
         raise MeasurementError(f"{file}: is not an image that OpenCV reads.")
+    if damage := next((line.removeprefix(_DAMAGED) for line in said if line.startswith(_DAMAGED)), None):
+        raise MeasurementError(f"{file}: is damaged ({shown(damage)}); copy it from the camera again.")
     height, width = image.shape
     if min(height, width) < SMALLEST_SIDE:
         raise MeasurementError(f"{file}: has {width} x {height} pixels; the smallest side allowed is {SMALLEST_SIDE}.")
@@ -115,6 +134,23 @@ def read_image(file: Path) -> Array:
             f"{_FEW_PIXELS // 1_000_000} million, {_PIXELS_OF_A_BYTE} for a byte are allowed."
         )
     return np.asarray(image)
+
+
+def _unturned(data: bytes) -> bytes:
+    """Return a TIFF whose first image asks for no turn, which OpenCV obeys whatever it is told; others as they are."""
+    if data[:4] not in _TIFF:
+        return data
+    order, at, of_count, entry = _TIFF[data[:4]]
+    with contextlib.suppress(struct.error, OverflowError):  # damaged: the reader of images says so
+        (first,) = struct.unpack_from(order + at, data, struct.calcsize(at))
+        (entries,) = struct.unpack_from(order + of_count, data, first)
+        start = first + struct.calcsize(of_count)
+        for place in range(start, start + entry * entries, entry):
+            tag, kind = struct.unpack_from(order + "HH", data, place)
+            if (tag, kind) == _ORIENTATION:
+                value = place + 4 + struct.calcsize(at)
+                return data[:value] + struct.pack(order + "H", 1) + data[value + 2 :]
+    return data
 
 
 def thumbnail(grey: Array) -> bytes:

@@ -47,6 +47,11 @@ def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
     K = _numbers(path, "the camera matrix", matrix)
     if len(K) != 9:
         raise JobError(f"{path}: the camera matrix has {len(K)} numbers; it has 9.")
+    if any((K[1], K[3], K[6], K[7])) or K[8] != 1.0:
+        raise JobError(
+            f"{path}: the camera matrix is {', '.join(f'{k:g}' for k in K)}; "
+            "read is fx, 0, cx, 0, fy, cy, 0, 0, 1, row by row."
+        )
     model = found.get("distortion_model", "plumb_bob")
     refuse_other(model, _MODELS, f"{path}: distortion_model")
     bent = _numbers(path, "the distortion", next((found[key] for key in _BENT if key in found), []))

@@ -1,16 +1,17 @@
 """Logs of others, text with headers of their own: Universal Robots' RTDE, and rigid bodies of Motive."""
 
-import re
 from collections.abc import Callable, Sequence
 
 from calib.foundations.errors import MeasurementError
+from calib.foundations.units import NUMBER
 from calib.foundations.words import counted, listed, shown
+from calib.measurement.layout import name_and_unit
 from calib.measurement.table import COMMANDED
 
 _Rows = tuple[Sequence[str], Sequence[Sequence[str]], str]
 _JOINTS = tuple(f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"))
+_OF_RTDE = ("timestamp", "actual_q_", "target_q_")
 _UNITS = {"meters": "m", "millimeters": "mm", "centimeters": "cm"}
-_NUMBER = re.compile(r"-?\d+(\.\d+)?([eE]-?\d+)?")
 
 
 def of_rtde(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> _Rows | None:
@@ -20,6 +21,11 @@ def of_rtde(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> _Rows | Non
     where it is there; what else there is, is left out.
     """
     number = {title.strip().split(" ")[0]: k for k, title in enumerate(titles)}
+    units = {
+        name_and_unit(title.replace("[", "(").replace("]", ")"))[1] for title in titles if title.startswith(_OF_RTDE)
+    }
+    if not units <= {None, "rad", "s"}:  # somebody's table of the same names
+        return None
     columns = ["timestamp", *(f"actual_q_{k}" for k in range(6))]
     if not all(name in number for name in columns):
         return None
@@ -65,20 +71,25 @@ def of_motive(text: str, where: str, body: str | None = None) -> _Rows:
         raise MeasurementError(f"{where}: its length units are {shown(about.get('Length Units', ''))}; not known.")
     places = [column("Position", axis) for axis in "XYZ"]
     turns = [column("Rotation", axis) for axis in "WXYZ"] if about.get("Rotation Type") == "Quaternion" else []
-    time = next((k for k, axis in enumerate(axes) if axis.startswith("Time")), None)
+    time = next((k for k, axis in enumerate(axes) if axis in ("Time", "Time (Seconds)")), None)
     if time is None:
-        raise MeasurementError(f"{where}: begins as an export of Motive, and has no column of time.")
+        raise MeasurementError(f"{where}: begins as an export of Motive, and has no column 'Time (Seconds)'.")
     chosen = [time, *places, *turns]
     begin = next(k for k, line in enumerate(lines) if line[0].strip() == "Frame") + 1
-    rows = [[line[k] for k in chosen] for line in lines[begin:] if len(line) > max(chosen)]
-    seen = [row for row in rows if all(_NUMBER.fullmatch(cell.strip()) for cell in row)]
+    rows: list[list[str]] = []
+    for number, line in enumerate(lines[begin:], start=begin + 1):
+        if len(line) <= max(chosen) and any(cell.strip() for cell in line):
+            raise MeasurementError(f"{where}:{number}: has {len(line)} cells, and its columns are {len(axes)}.")
+        rows += [[line[k].strip() for k in chosen]] if len(line) > max(chosen) else []
+        if wrong := next((cell for cell in rows[-1] if cell and NUMBER.fullmatch(cell) is None), "") if rows else "":
+            raise MeasurementError(f"{where}:{number}: {shown(wrong)} is not a number like 12.5 or 1.25e1.")
+    seen = [row for row in rows if all(row)]
     titles = ("time [s]", *(f"{axis} [{unit}]" for axis in "xyz"), *(("qw", "qx", "qy", "qz") if turns else ()))
     frames = counted(len(rows) - len(seen), "frame that lost it is", "frames that lost it are")
-    return (
-        titles,
-        seen,
-        f"the rigid body {own!r} of Motive; {frames} left out",
+    angles = (
+        "" if turns else f"; its rotations are {shown(about.get('Rotation Type', ''))}, not Quaternion, and left out"
     )
+    return titles, seen, f"the rigid body {own!r} of Motive; {frames} left out{angles}"
 
 
 def _header(lines: Sequence[Sequence[str]], where: str) -> tuple[list[str], ...]:

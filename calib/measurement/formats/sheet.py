@@ -51,9 +51,11 @@ def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
         ".yaml": records.from_yaml,
         ".yml": records.from_yaml,
         ".xlsx": workbook.from_xlsx,
-        ".npz": arrays.from_npz,
     }
     data = read_bytes(path, MeasurementError, _LARGEST)
+    if path.suffix.lower() == ".npz":
+        titles, rows, said = arrays.from_npz(data, where)
+        return Sheet(tuple(titles), tuple(map(tuple, rows)), where, said)
     reader = readers.get(path.suffix.lower())
     if reader is None:
         return _not_too_wide(_of_log(data, where, part) or _with_names_of_log(_of_text(data, where)))

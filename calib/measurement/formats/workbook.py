@@ -1,6 +1,7 @@
 """The first sheet of a workbook (.xlsx) that is not hidden. Needs the package openpyxl."""
 
 import io
+import re
 import warnings
 import zipfile
 from collections.abc import Sequence
@@ -18,6 +19,9 @@ _LARGEST = 200_000_000
 _MOST_PER_BYTE, _LEAST = 50, 50_000_000
 _MOST_TAGS_PER_BYTE, _LEAST_TAGS = 4, 500_000
 _MOST_ROWS, _MOST_COLUMNS, _MOST_VALUES = 200_000, 1000, 5_000_000
+# The last row that a workbook can have; the rows before one are walked through, be they there or not.
+_LAST_ROW = 1_048_576
+_ROW = re.compile(rb"""<(?:\w+:)?row\s(?:[^<>]*?\s)?r=["'](\d{1,20})["']""")
 # With the empty cells before the last one of a row. A file may leave them out; written out they have 10 bytes each.
 _MOST_LOOKED_AT = 20_000_000
 
@@ -72,9 +76,23 @@ def _refuse_bombs(archive: zipfile.ZipFile, size: int, where: str) -> None:
         part = archive.read(member)
         if b"<!DOCTYPE" in part.replace(b"\0", b""):  # whose entities stand for tags that are not counted
             raise MeasurementError(f"{where}: {shown(member.filename)} has a document type, which no workbook needs.")
+        if member.filename.startswith("xl/worksheets/"):
+            _refuse_order(part, where)
         tags += part.count(b"<")
         if tags > max(_LEAST_TAGS, _MOST_TAGS_PER_BYTE * size):
             raise MeasurementError(f"{where}: unpacks to more than {_MOST_TAGS_PER_BYTE} tags for each of its bytes.")
+
+
+def _refuse_order(part: bytes, where: str) -> None:
+    """Raise MeasurementError where rows of a sheet do not follow each other: openpyxl leaves out those that go back."""
+    before = 0
+    for number in map(int, _ROW.findall(part)):
+        if not before < number <= _LAST_ROW:
+            raise MeasurementError(
+                f"{where}: row {number} stands behind row {before}; rows are numbered upwards, to {_LAST_ROW}. Save "
+                "the workbook again."
+            )
+        before = number
 
 
 def _rows(sheet: Any, where: str) -> list[list[str]]:
@@ -83,6 +101,8 @@ def _rows(sheet: Any, where: str) -> list[list[str]]:
     width = looked_at = 0
     sheet.reset_dimensions()  # what a file says of its size may be less than it holds, or far more
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
+        if number > _LAST_ROW:
+            raise MeasurementError(f"{where}: has a row {number}; the last that a workbook can have is {_LAST_ROW}.")
         looked_at += len(row)
         if looked_at > _MOST_LOOKED_AT:
             raise MeasurementError(f"{where}: has more than {_MOST_LOOKED_AT} cells, nearly all of them empty.")
