@@ -220,7 +220,7 @@ def write_atomically(path: Path, data: bytes | str, *, new: bool = False) -> os.
         ours = _appear(path, data, folder, new=new)
         try:
             names_to_disk(folder)
-        except OSError:
+        except BaseException:
             if new:
                 _take_back(path.name, folder, ours)
             raise
@@ -229,9 +229,10 @@ def write_atomically(path: Path, data: bytes | str, *, new: bool = False) -> os.
 
 def _take_back(name: str, folder: int, ours: os.stat_result) -> None:
     """Remove a file that was written a moment ago, unless another has its name since."""
-    found = lstat(name, folder)
-    if found is not None and os.path.samestat(found, ours):
-        os.unlink(name, dir_fd=folder)
+    with contextlib.suppress(OSError):
+        found = lstat(name, folder)
+        if found is not None and os.path.samestat(found, ours):
+            os.unlink(name, dir_fd=folder)
 
 
 def _appear(path: Path, data: bytes, folder: int, *, new: bool) -> os.stat_result:
@@ -241,10 +242,13 @@ def _appear(path: Path, data: bytes, folder: int, *, new: bool) -> os.stat_resul
     all that is written where files without a name are not known.
     """
     part = f".{path.name}.{secrets.token_hex(4)}.part"
+    ours = None
     with _unnamed(data, folder) as whole:
-        if new and whole is not None and _linked(whole, path, folder):
-            return Path(whole).stat()
         try:
+            if new and whole is not None:
+                ours = Path(whole).stat()
+                if _linked(whole, path, folder):
+                    return ours
             if whole is None or not _linked(whole, path.with_name(part), folder):
                 create(part, folder, data)
             ours = os.stat(part, dir_fd=folder, follow_symlinks=False)
@@ -255,6 +259,8 @@ def _appear(path: Path, data: bytes, folder: int, *, new: bool) -> os.stat_resul
         except BaseException:
             with contextlib.suppress(OSError):
                 os.unlink(part, dir_fd=folder)
+            if new and ours is not None:  # Ctrl-C may come when it has its name
+                _take_back(path.name, folder, ours)
             raise
         return ours
 

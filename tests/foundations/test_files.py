@@ -265,6 +265,27 @@ def test_of_files_that_belong_together_none_stays_where_one_cannot_be_written(tm
     assert second.read_text() == "2"
 
 
+@pytest.mark.parametrize("unnamed", [True, False])
+@pytest.mark.parametrize("operation", ["link", "fsync"])
+@pytest.mark.parametrize("count", [1, 2])
+def test_ctrl_c_as_a_file_gets_its_name_leaves_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unnamed: bool, operation: str, count: int
+) -> None:
+    if not unnamed:
+        monkeypatch.setattr(os, "O_TMPFILE", 0, raising=False)
+    works, paths = getattr(os, operation), [tmp_path / "a", tmp_path / "b"][:count]
+
+    def interrupted(*arguments: object, **options: object) -> None:
+        works(*arguments, **options)
+        if paths[-1].exists():
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, operation, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_together(dict.fromkeys(paths, "new"))
+    assert names(tmp_path) == []
+
+
 def test_what_took_the_place_of_one_of_several_files_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write = files.write_atomically
 
