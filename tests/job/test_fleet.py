@@ -493,6 +493,12 @@ def test_page_has_every_figure_once_and_leads_to_the_reports() -> None:
     assert "[a \\<b\\>](a%20%3Cb%3E/report.html)" in render_markdown(fleet_report(LINES))
 
 
+def test_a_name_that_is_no_text_leads_to_its_report() -> None:
+    name = "caf\udce9"  # as Latin-1 has it
+    line = JobLine(name, f"{name}.toml", "trusted", (), "validation", POSE, 30, 36, 0, f"{name}/report.html")
+    assert 'href="caf%E9/report.html"' in render_page(fleet_report([line]))
+
+
 def test_terminal_table_fits() -> None:
     text = plain(sheet_table(fleet_sheet(LINES)))
     assert max(map(len, text.splitlines())) <= 80
