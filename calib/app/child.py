@@ -16,7 +16,7 @@ from calib_start import loading
 
 with loading():
     from calib.app.folder import JOB, MADE, PHOTOGRAPHS, RESULTS, gather
-    from calib.foundations.errors import CalibError, JobError, OutputError
+    from calib.foundations.errors import LITTLE_MEMORY, CalibError, JobError, OutputError
     from calib.foundations.files import read_bytes, sentences, write_atomically
     from calib.foundations.words import shown
     from calib.job.calibrate import calibrated
@@ -229,6 +229,8 @@ def main() -> None:
         tell({"found": VERBS[asked["verb"]](asked, say)})
     except CalibError as e:
         tell({"sentence": str(e)})
+    except MemoryError:
+        tell({"sentence": LITTLE_MEMORY})
     except KeyboardInterrupt:
         sys.exit(130)
 

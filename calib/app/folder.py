@@ -299,8 +299,9 @@ def take(folder: Path, name: str, data: bytes, there: Mapping[str, int]) -> str:
 
 
 def remove(folder: Path, name: str) -> None:
-    """Remove a dropped file, if it is there."""
-    _place(folder, name_here(name)).unlink(missing_ok=True)
+    """Remove a dropped file, if it is there. Raises OutputError where it cannot be."""
+    with sentences(shown(name), OutputError, "cannot be removed"):
+        _place(folder, name_here(name)).unlink(missing_ok=True)
 
 
 def is_there(folder: Path, name: str) -> bool:

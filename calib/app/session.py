@@ -26,6 +26,8 @@ _PATIENCE = 5.0
 _ANSWERS = ("tip", "angles", "lengths", "orientation", "observes")
 _MOST_COLUMNS, _LONGEST_TEXT, _LONGEST_JOB = 1000, 500, 500_000
 _CAMERAS = ("tip", "floor")
+# As the system does where memory is short.
+_DIED = "The process that worked on this was killed; the memory may not suffice."
 _ERROR = re.compile(r"[^\n]*\S\s*\Z")
 
 
@@ -99,8 +101,7 @@ class Session:
 
     async def drop(self, name: str, data: bytes) -> None:
         """Take a dropped file, or those in an archive. Raises CalibError."""
-        self._refuse_while_calibrating()
-        await self.cancel()
+        await self._alone()
         self._changed()
         if kind_of(name) != "archive":
             self._keep(name, data)
@@ -110,6 +111,8 @@ class Session:
         try:
             while (file := await asyncio.to_thread(next, files, None)) is not None:
                 kept, called, contents = file
+                await self._alone()  # another window may have begun something meanwhile
+                self._changed()
                 self._called[kept] = called
                 self._keep(kept, contents)
         finally:
@@ -123,12 +126,11 @@ class Session:
 
     async def remove(self, name: str) -> None:
         """Remove a dropped file."""
-        self._refuse_while_calibrating()
+        await self._alone()
         if name not in self._files:
             raise OutputError(f"{shown(name)}: there is no such file.")
-        await self.cancel()
-        del self._files[name]
         remove(self.folder, name)
+        del self._files[name]
         if self._asked["robot"] == name:
             self._asked["robot"] = next((file for file in self._files if kind_of(file) == "robot"), "")
         self._left_out = ""
@@ -137,8 +139,7 @@ class Session:
 
     async def look(self, said: Mapping[str, Any]) -> None:
         """Begin to look at the files with what the page says of them. Raises CalibError."""
-        self._refuse_while_calibrating()
-        await self.cancel()
+        await self._alone()
         self._asked = self._understood(said)
         self._changed()
         kinds = {"table": "tables", "photograph": "photographs", "settings": "settings", "mesh": "meshes"}
@@ -147,10 +148,9 @@ class Session:
 
     async def check(self, job: str) -> None:
         """Begin to check a job as the page has it. Raises CalibError."""
-        self._refuse_while_calibrating()
+        await self._alone()
         if len(job) > _LONGEST_JOB:
             raise JobError(f"The job is longer than {_LONGEST_JOB} characters.")
-        await self.cancel()
         write_atomically(self.folder / JOB, job)
         self._results = None
         if self._look is not None:
@@ -159,8 +159,7 @@ class Session:
 
     async def calibrate(self) -> None:
         """Begin the calibration. Raises CalibError."""
-        self._refuse_while_calibrating()
-        await self.cancel()
+        await self._alone()
         if self._look is None or self._look.get("findings") is None:
             raise JobError("There is no job to calibrate yet.")
         self._results = None
@@ -168,17 +167,30 @@ class Session:
 
     async def cancel(self) -> None:
         """End the child process, if there is one, and wait until it has."""
-        if self._work is not None:
-            self._work.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._work
-            self._work = self._busy = None  # also where it had not begun yet
+        while self._work is not None:
+            await self._end_work(self._work)
 
-    def _refuse_while_calibrating(self) -> None:
-        """Refuse what would change files under a calibration, or in a folder that is gone."""
-        self.refuse_gone()
-        if self._busy is not None and self._busy["verb"] == "calibrate":
-            raise JobError("A calibration is under way; wait for its end, or cancel it.")
+    async def _alone(self) -> None:
+        """End a look that is under way; refuse to change files under a calibration, or in a folder that is gone.
+
+        Whoever waits for the end of a look may find that another window has begun something since.
+        """
+        while True:
+            self.refuse_gone()
+            if self._busy is not None and self._busy["verb"] == "calibrate":
+                raise JobError("A calibration is under way; wait for its end, or cancel it.")
+            if self._work is None:
+                return
+            await self._end_work(self._work)
+
+    async def _end_work(self, work: asyncio.Task[None]) -> None:
+        work.cancel()
+        try:
+            with contextlib.suppress(asyncio.CancelledError):
+                await work
+        finally:
+            if self._work is work:
+                self._work = self._busy = None  # also where it had not begun yet
 
     def _changed(self) -> None:
         self._look = self._results = None
@@ -261,11 +273,13 @@ class Session:
             child.stdin.write(json.dumps({"verb": verb, **asked}).encode())
             child.stdin.close()
             async for line in child.stdout:
+                if not line.endswith(b"\n"):
+                    break  # killed while it wrote
                 told = json.loads(line)
                 if "step" in told:
                     self._busy = {"verb": verb, **told}
-            await child.wait()
-            self._take(verb, told, (await trouble).decode(errors="replace"))
+            ended = await child.wait()
+            self._take(verb, told, _why(ended, (await trouble).decode(errors="replace")))
         finally:
             await _ended(child)
             trouble.cancel()
@@ -273,19 +287,26 @@ class Session:
             with contextlib.suppress(OutputError):  # on a full disk the page goes on, and is not kept
                 self._write()
 
-    def _take(self, verb: str, told: Mapping[str, Any], trouble: str) -> None:
-        """Keep what a child has found, or why it has found nothing."""
+    def _take(self, verb: str, told: Mapping[str, Any], why: str) -> None:
+        """Keep what a child has found, or the sentence that it told; ``why``: that of one that told none."""
         found = told.get("found")
         if found is None:
-            last = _ERROR.search(trouble)
-            why = f" ({last[0].strip()[:_LONGEST_TEXT]})" if last else ""
-            self._sentence = told.get("sentence") or f"This ended by an error of the program; please report it{why}."
+            self._sentence = told.get("sentence") or why
         elif verb == "calibrate":
             self._results = found
         elif verb == "look":
             self._look = found
         else:
             self._look = {**(self._look or {}), **found}
+
+
+def _why(code: int, trouble: str) -> str:
+    """Return a sentence on a child that ended with ``code`` and ``trouble`` on its standard error."""
+    if code < 0:
+        return _DIED
+    last = _ERROR.search(trouble)
+    why = f" ({last[0].strip()[:_LONGEST_TEXT]})" if last else ""
+    return f"This ended by an error of the program; please report it{why}."
 
 
 async def _ended(child: asyncio.subprocess.Process) -> None:

@@ -32,7 +32,7 @@ def cell(
     with loading():
         from calib.compensation.cell import calibrated_cell
         from calib.foundations.errors import JobError
-        from calib.foundations.files import refuse_taken, write_new
+        from calib.foundations.files import refuse_taken, write_together
         from calib.presentation.machine_scene import cell_scene
         from calib.presentation.scene import render_scene
     if scene is None:
@@ -43,11 +43,10 @@ def cell(
     found = calibrated_cell(arm, positioner, placed_in, prefix)
     # As in a job: the URDF's own folder, and what is named.
     roots = (arm.parent, *mesh_folders(mesh_root))
-    page = None if scene is None else render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
-    # The cell last: where the scene cannot be written, neither is the cell.
-    if scene is not None and page is not None:
-        write_new(scene, page)
-    write_new(out, found.cell.document)
+    files: dict[Path, bytes | str] = {out: found.cell.document}
+    if scene is not None:
+        files[scene] = render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
+    write_together(files)
     renamed = found.cell.renamed
     changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
     telling.tell(

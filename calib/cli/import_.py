@@ -157,7 +157,7 @@ def _images(folders: Sequence[Path], out: Path, robot: str | None, said: OfImage
     """Write the table ``out``, and beside it its contact sheet and a job, none of which may be there."""
     with loading():
         from calib.foundations.errors import JobError
-        from calib.foundations.files import refuse_taken, write_new
+        from calib.foundations.files import refuse_taken, write_together
         from calib.foundations.words import shown
         from calib.job.photographs import import_photographs
         from calib.job.read import read_board
@@ -185,8 +185,7 @@ def _images(folders: Sequence[Path], out: Path, robot: str | None, said: OfImage
         texts[urdf] = found.urdf
     if model is not None:
         texts[job] = found.job(model, out.name, seen_from(folder, said.board), camera_on=said.camera_on)
-    for file, text in texts.items():
-        write_new(file, text)
+    write_together(texts)
     telling.tell(
         lambda: {"files": list(map(str, texts)), **found.contents()},
         lambda: [*found.sentences, f"Written: {', '.join(map(str, texts))}."],

@@ -9,7 +9,7 @@ import stat
 import struct
 import sys
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -139,6 +139,15 @@ def _to_disk(file: BinaryIO, data: bytes) -> None:
     os.fsync(file.fileno())
 
 
+def names_to_disk(folder: int) -> None:
+    """Bring the names in a folder to the disk; some file systems (shared folders, FUSE) know no such wish."""
+    try:
+        os.fsync(folder)
+    except OSError as e:
+        if e.errno not in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP):
+            raise
+
+
 def sha256(data: bytes) -> str:
     """Return the SHA-256 of ``data`` in hex."""
     return hashlib.sha256(data).hexdigest()
@@ -177,11 +186,24 @@ def encoded(text: str) -> bytes:
 
 def write_new(path: Path, data: bytes | str) -> None:
     """Write a file that is not there yet, as :func:`write_atomically`; raise OutputError when something is."""
-    write_atomically(path, data, new=True)
+    write_together({path: data})
 
 
-def write_atomically(path: Path, data: bytes | str, *, new: bool = False) -> None:
-    """Write a file so that a reader sees the old contents or the new ones, never a part.
+def write_together(files: Mapping[Path, bytes | str]) -> None:
+    """Write files that are not there yet, each as :func:`write_new`; on any error none of them stays."""
+    written: list[tuple[Path, os.stat_result]] = []
+    try:
+        for path, data in files.items():
+            written.append((path, write_atomically(path, data, new=True)))
+    except BaseException:
+        for path, ours in written:
+            with contextlib.suppress(OSError), opened_folder(path.parent) as folder:
+                _take_back(path.name, folder, ours)
+        raise
+
+
+def write_atomically(path: Path, data: bytes | str, *, new: bool = False) -> os.stat_result:
+    """Write a file so that a reader sees the old contents or the new ones, never a part; return which file it is.
 
     ``new``: there are no old ones, not even some that somebody wrote since that was looked at.
     Raises OutputError when the folder is missing, read-only or full, or when ``path`` is there and no regular file
@@ -195,23 +217,41 @@ def write_atomically(path: Path, data: bytes | str, *, new: bool = False) -> Non
         if found is not None and not stat.S_ISREG(found.st_mode):
             kind = "a link" if stat.S_ISLNK(found.st_mode) else "not a regular file"
             raise OutputError(f"{path}: is {kind}, and is not replaced; choose another name.")
-        _appear(path, data, folder, new=new)
-        os.fsync(folder)
+        ours = _appear(path, data, folder, new=new)
+        try:
+            names_to_disk(folder)
+        except BaseException:
+            if new:
+                _take_back(path.name, folder, ours)
+            raise
+        return ours
 
 
-def _appear(path: Path, data: bytes, folder: int, *, new: bool) -> None:
+def _take_back(name: str, folder: int, ours: os.stat_result) -> None:
+    """Remove a file that was written a moment ago, unless another has its name since."""
+    with contextlib.suppress(OSError):
+        found = lstat(name, folder)
+        if found is not None and os.path.samestat(found, ours):
+            os.unlink(name, dir_fd=folder)
+
+
+def _appear(path: Path, data: bytes, folder: int, *, new: bool) -> os.stat_result:
     """Write a file without a name, and give it its name when it is whole: who is killed before leaves nothing.
 
     A link takes the place of nothing, so that what is to replace another is for one moment called as a part, and so is
     all that is written where files without a name are not known.
     """
     part = f".{path.name}.{secrets.token_hex(4)}.part"
+    ours = None
     with _unnamed(data, folder) as whole:
-        if new and whole is not None and _linked(whole, path, folder):
-            return
         try:
+            if new and whole is not None:
+                ours = Path(whole).stat()
+                if _linked(whole, path, folder):
+                    return ours
             if whole is None or not _linked(whole, path.with_name(part), folder):
                 create(part, folder, data)
+            ours = os.stat(part, dir_fd=folder, follow_symlinks=False)
             if new and _linked(part, path, folder):
                 os.unlink(part, dir_fd=folder)
             else:
@@ -219,7 +259,10 @@ def _appear(path: Path, data: bytes, folder: int, *, new: bool) -> None:
         except BaseException:
             with contextlib.suppress(OSError):
                 os.unlink(part, dir_fd=folder)
+            if new and ours is not None:  # Ctrl-C may come when it has its name
+                _take_back(path.name, folder, ours)
             raise
+        return ours
 
 
 @contextlib.contextmanager

@@ -24,7 +24,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.foundations.errors import CalibError, OutputError
-from calib.foundations.files import create, encoded, is_regular, lstat, names_in, opened_folder, refuse_taken
+from calib.foundations.files import (
+    create,
+    encoded,
+    is_regular,
+    lstat,
+    names_in,
+    names_to_disk,
+    opened_folder,
+    refuse_taken,
+)
 
 # In the hidden folder: the one that is written, the one that stood there, and the list of what may be removed in both.
 _NEW, _OLD, _LIST = "new", "old", "list.json"
@@ -87,9 +96,11 @@ def write_folder(path: Path, files: Mapping[str, bytes | str], older: Collection
 def made_folder(path: Path) -> Iterator[None]:
     """Make a folder, and those above it, that are not there yet; an error in the block leaves none of them empty.
 
-    Raises OutputError when they cannot be made, or something in the block could not be written.
+    Raises OutputError when they cannot be made.
     """
-    with _telling(path, "cannot be made or written"), _made(path):
+    with contextlib.ExitStack() as made:
+        with _telling(path, "cannot be made"):
+            made.enter_context(_made(path))
         yield
 
 
@@ -135,6 +146,19 @@ def refuse_unwritable(path: Path) -> None:
                 raise OutputError(f"{path}: cannot be written, as {folder} is read-only.")
 
 
+def refuse_kept(path: Path) -> None:
+    """Raise OutputError for a folder of another user that only this one may move away, as in ``/tmp``."""
+    with _telling(path, "cannot hold the results"):
+        if not path.exists():
+            return
+        above, own = path.parent.stat(), path.stat()
+        if above.st_mode & stat.S_ISVTX and os.geteuid() not in (0, own.st_uid, above.st_uid):
+            raise OutputError(
+                f"{path}: belongs to another user, and in {path.parent} (sticky) nobody else may replace it; "
+                "choose another folder."
+            )
+
+
 @contextlib.contextmanager
 def reading_folder(path: Path) -> Iterator[None]:
     """Keep a folder as it is while the block reads it: another run waits before it replaces it.
@@ -174,10 +198,13 @@ def _write(place: _Place, files: Mapping[str, bytes | str], older: Collection[st
             work = ending.enter_context(_begun(place, {*files, *older}))
         os.mkdir(_NEW, dir_fd=work.handle)
         with opened_folder(_NEW, work.handle) as new:
+            found = lstat(place.name, place.above)
+            if found is not None and stat.S_ISDIR(found.st_mode):
+                _let_in_as(found, new)
             for name, contents in files.items():
                 create(name, new, encoded(contents) if isinstance(contents, str) else contents)
-            os.fsync(new)
-        os.fsync(work.handle)
+            names_to_disk(new)
+        names_to_disk(work.handle)
         with _locked(place, fcntl.LOCK_EX):
             try:
                 _exchange(place, work, replaced=bool(older))
@@ -204,11 +231,24 @@ def _begun(place: _Place, listed: Collection[str]) -> Iterator[_Work]:
         work = _Work(name, handle, frozenset(listed))
         try:
             create(_LIST, handle, json.dumps({"calib": _MARK, "files": sorted(listed)}).encode())
-            os.fsync(place.above)
+            names_to_disk(place.above)
             yield work
         finally:
             with contextlib.suppress(OSError):
                 _end(place, work)
+
+
+def _let_in_as(old: os.stat_result, new: int) -> None:
+    """Let those into a new folder whom the old one lets in; its group, too, where this user may give it to that."""
+    mode, made = stat.S_IMODE(old.st_mode), os.fstat(new)
+    if made.st_gid != old.st_gid:
+        try:
+            os.fchown(new, -1, old.st_gid)
+        except OSError:  # another group may do no more than everybody
+            mode = mode & ~(stat.S_ISGID | stat.S_IRWXG) | (mode & stat.S_IRWXO) << 3
+    if mode != stat.S_IMODE(made.st_mode):
+        with contextlib.suppress(OSError):  # a file system without permissions
+            os.fchmod(new, mode)
 
 
 def _exchange(place: _Place, work: _Work, *, replaced: bool) -> None:
@@ -225,7 +265,11 @@ def _exchange(place: _Place, work: _Work, *, replaced: bool) -> None:
             kept = place.path.with_name(work.name) / _OLD
             raise OutputError(f"{place.path}: another has taken its place meanwhile; what was there is {kept}.") from e
         raise
-    os.fsync(place.above)
+    try:
+        names_to_disk(place.above)
+    except OSError:  # the end puts the old one back
+        os.rename(place.name, _NEW, src_dir_fd=place.above, dst_dir_fd=work.handle)
+        raise
 
 
 def _end(place: _Place, work: _Work) -> None:

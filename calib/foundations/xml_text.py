@@ -12,6 +12,7 @@ from xml.parsers import expat
 from calib.foundations.words import shortened, shown
 
 DEEPEST = 100
+NOT_EXPANDED = "is not expanded; run xacro first and use the URDF that it prints, or let calib init --xacro run it."
 # cp1252 reaches expat through Python, the others are its own; all of them are ASCII in tags and numbers.
 _ENCODINGS = ("UTF-8", "UTF8", "UTF-16", "ISO-8859-1", "US-ASCII", "ASCII", "WINDOWS-1252")
 # As the standard library's ``quoteattr``, which loads a client of the web to be at hand.
@@ -103,7 +104,7 @@ class _Builder:
         if self.depth > DEEPEST:
             self.refuse(f"elements are nested more than {DEEPEST} deep.")
         if tag.startswith("xacro:"):
-            self.refuse(f"<{shortened(tag)}> is not expanded; run xacro first and use the URDF that it prints.")
+            self.refuse(f"<{shortened(tag)}> {NOT_EXPANDED}")
         if self.depth <= self.deepest:
             place = self.parser.CurrentLineNumber, self.parser.CurrentByteIndex
             self.open.append((tag, attributes, *place, [], []))

@@ -144,7 +144,7 @@ def run_fleet(
     """
     done = {job.name: Done(job, earlier=True) for job in jobs if not again and unchanged(job)}
     waiting = [job for job in jobs if job.name not in done]
-    if waiting:
+    if waiting or dask is not None:  # an address with a mistake is told also where there is nothing to do
         with _local(workers, waiting) if dask is None else _cluster(dask, waiting) as finished:
             for one in finished:
                 done[one.job.name] = one
@@ -182,7 +182,10 @@ def _run(jobs: Sequence[FleetJob]) -> Generator[Done, None, None]:
 
 
 def _together(tasks: Iterable[Any]) -> Generator[Done, None, None]:
-    """Yield what comes of tasks that run at the same time. Raises BrokenProcessPool when a process of theirs died."""
+    """Yield what comes of tasks that run at the same time.
+
+    Raises BrokenProcessPool when a process of theirs died, JobError where the system has none to give.
+    """
     import joblib  # noqa: PLC0415 - calib must not load it on import
 
     parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs")
@@ -191,6 +194,8 @@ def _together(tasks: Iterable[Any]) -> Generator[Done, None, None]:
         with _born_deaf():
             found = parallel(tasks)
         yield from found
+    except OSError as e:
+        raise JobError(f"calib fleet: its processes cannot be started or spoken to ({e.strerror or e}).") from e
     finally:
         if found is not None:
             found.close()

@@ -111,7 +111,7 @@ def _table(lines: Sequence[JobLine]) -> Sheet:
             ]
             what = ("", "", "") if error is None else (error.quantity.replace("_", " "), line.data, str(error.n))
             seen = (_rank(line), "" if line.outliers is None else str(line.outliers))
-            link = "" if line.report is None else quote(line.report)
+            link = "" if line.report is None else quote(line.report, errors="surrogateescape")
             rows.append(Row((line.name, line.word, *seen, *what, *values), strong=line.word != "trusted", link=link))
     columns = ("job", "verdict", ">rank", ">outliers", "error", "data", ">n", *figures)
     caption = (

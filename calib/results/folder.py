@@ -18,7 +18,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes, sentences
-from calib.foundations.folders import reading_folder, real_folder, refuse_unwritable, write_folder
+from calib.foundations.folders import reading_folder, real_folder, refuse_kept, refuse_unwritable, write_folder
 from calib.foundations.json_text import NotJsonError, document, parse_json
 from calib.foundations.units import DEG, MM
 from calib.foundations.words import shown
@@ -88,6 +88,7 @@ def refuse_folder(out: Path, inputs: Sequence[Path] = ()) -> Path:
         if out in (Path.cwd(), *Path.cwd().parents):
             raise OutputError(f"{out}: is the current folder or holds it, and is replaced as a whole; choose another.")
         refuse_unwritable(out)
+        refuse_kept(out)
         _refuse_foreign(out)
         if out.is_mount():
             raise OutputError(f"{out}: is a mount point, which cannot be replaced; choose a folder inside.")

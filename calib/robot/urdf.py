@@ -22,7 +22,7 @@ from calib.foundations.files import read_bytes
 from calib.foundations.rigid import placement, rotation_of_rpy
 from calib.foundations.units import NUMBER
 from calib.foundations.words import listed, near, shortened, shown
-from calib.foundations.xml_text import Element, NotXmlError, read_xml
+from calib.foundations.xml_text import NOT_EXPANDED, Element, NotXmlError, read_xml
 from calib.robot.sources import resolve
 
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
@@ -283,7 +283,7 @@ def _mimic(element: Element, at: str) -> Mimic:
 def _text(element: Element, attribute: str, at: str) -> str | None:
     text = element.attributes.get(attribute)
     if text is not None and ("${" in text or "$(" in text):
-        raise RobotError(f"{at}: {attribute}={shown(text)} is not expanded; run xacro first and use its output.")
+        raise RobotError(f"{at}: {attribute}={shown(text)} {NOT_EXPANDED}")
     return text
 
 

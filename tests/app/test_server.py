@@ -1,5 +1,6 @@
 """The requests of the page: who may ask, what files may hold, and how work is cancelled."""
 
+import asyncio
 import json
 import os
 import re
@@ -22,6 +23,7 @@ import pytest
 
 from calib.app.child import _as_texts
 from calib.app.folder import SESSION
+from calib.app.session import Session
 from tests.support.cases import CASE, JOB, TABLE, URDF, run
 
 MAIN = "import signal; signal.signal(2, signal.default_int_handler); from calib.cli import main; main()"
@@ -364,6 +366,77 @@ def test_work_can_be_cancelled_and_ends_with_the_server() -> None:
     finally:
         server.process.kill()
         server.process.communicate()
+
+
+def test_work_that_is_killed_is_said_and_the_page_goes_on() -> None:
+    server = Server()
+    try:
+        drop_case(server)
+        server.look()
+        assert server.ask("POST", "calibrate")[0] == 200
+        children: list[psutil.Process] = []
+        while not children:
+            children = psutil.Process(server.process.pid).children()
+        children[0].kill()
+        killed = "The process that worked on this was killed; the memory may not suffice."
+        assert server.settled()["sentence"] == killed
+        assert server.look()["sentence"] == ""
+        assert server.end() == (0, "")
+    finally:
+        server.process.kill()
+        server.process.communicate()
+
+
+def test_a_file_that_cannot_be_removed_stays_and_is_said(tmp_path: Path) -> None:
+    server = Server("--folder", tmp_path / "page")
+    try:
+        server.drop("a.csv", "x")
+        (tmp_path / "page" / "a.csv").unlink()
+        (tmp_path / "page" / "a.csv").mkdir()
+        status, answer = server.ask("DELETE", "files/a.csv")
+        assert status == 400
+        # Linux and macOS do not give the same reason.
+        assert answer["sentence"].startswith("'a.csv': cannot be removed (")
+        assert [file["name"] for file in server.ask("GET", "state")[1]["files"]] == ["a.csv"]
+        assert server.end() == (0, "")
+    finally:
+        server.process.kill()
+        server.process.communicate()
+
+
+def test_of_several_windows_one_works_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    at_work: list[str] = []
+    most = 0
+
+    async def work(_: Session, verb: str, asked: object) -> None:
+        nonlocal most
+        at_work.append(verb)
+        most = max(most, len(at_work))
+        try:
+            await asyncio.sleep(3600)
+        finally:
+            await asyncio.sleep(0)  # a child takes its time to end
+            at_work.remove(verb)
+
+    async def windows() -> list[object]:
+        session = Session(tmp_path)
+        await session.look({})
+        await asyncio.sleep(0)
+        await asyncio.gather(session.look({}), session.check("schema = 1"), session.look({}))
+        session._look = {"findings": []}
+        await asyncio.sleep(0)
+        said = await asyncio.gather(session.calibrate(), session.look({}), return_exceptions=True)
+        await asyncio.sleep(0)
+        assert at_work == ["calibrate"]
+        await session.cancel()
+        assert at_work == []
+        return list(said)
+
+    monkeypatch.setattr(Session, "_run", work)
+    begun, refused = asyncio.run(windows())
+    assert most == 1
+    assert begun is None
+    assert str(refused) == "A calibration is under way; wait for its end, or cancel it."
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])

@@ -3,16 +3,26 @@
 import contextlib
 import errno
 import os
+import stat
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from calib.foundations import files
 from calib.foundations.errors import CalibError, JobError, OutputError
-from calib.foundations.files import read_bytes, read_inside, refuse_taken, sha256, write_atomically, write_new
+from calib.foundations.files import (
+    read_bytes,
+    read_inside,
+    refuse_taken,
+    sha256,
+    write_atomically,
+    write_new,
+    write_together,
+)
 from tests.support.swaps import at_operation, swap
 
 as_root = os.geteuid() == 0
@@ -210,6 +220,86 @@ def test_write_atomically_stays_in_its_folder(tmp_path: Path, monkeypatch: pytes
             assert (home / "a").read_text() == "mine"
         n += 1
     assert n > 5
+
+
+def failing_of_folders(number: int) -> Callable[[int], None]:
+    """What brings files to the disk, but no folder."""
+
+    def fsync(handle: int) -> None:
+        if stat.S_ISDIR(os.fstat(handle).st_mode):
+            raise OSError(number, os.strerror(number))
+
+    return fsync
+
+
+@pytest.mark.parametrize("unnamed", [True, False])
+def test_a_name_that_does_not_reach_the_disk_does_not_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unnamed: bool
+) -> None:
+    if not unnamed:
+        monkeypatch.setattr(os, "O_TMPFILE", 0, raising=False)
+    monkeypatch.setattr(os, "fsync", failing_of_folders(errno.EIO))
+    with pytest.raises(OutputError, match="Input/output error"):
+        write_new(tmp_path / "a", "new")
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("number", [errno.EINVAL, errno.ENOSYS, errno.ENOTSUP])
+def test_a_file_system_that_brings_no_folders_to_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    monkeypatch.setattr(os, "fsync", failing_of_folders(number))
+    write_new(tmp_path / "a", "new")
+    write_atomically(tmp_path / "a", "newer")
+    assert (tmp_path / "a").read_text() == "newer"
+
+
+def test_of_files_that_belong_together_none_stays_where_one_cannot_be_written(tmp_path: Path) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    write_together({first: "1", second: b"2"})
+    assert (first.read_text(), second.read_text()) == ("1", "2")
+    first.unlink()
+    with pytest.raises(OutputError, match="already exists"):
+        write_together({first: "3", second: "4"})
+    assert names(tmp_path) == ["second"]
+    assert second.read_text() == "2"
+
+
+@pytest.mark.parametrize("unnamed", [True, False])
+@pytest.mark.parametrize("operation", ["link", "fsync"])
+@pytest.mark.parametrize("count", [1, 2])
+def test_ctrl_c_as_a_file_gets_its_name_leaves_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unnamed: bool, operation: str, count: int
+) -> None:
+    if not unnamed:
+        monkeypatch.setattr(os, "O_TMPFILE", 0, raising=False)
+    works, paths = getattr(os, operation), [tmp_path / "a", tmp_path / "b"][:count]
+
+    def interrupted(*arguments: object, **options: object) -> None:
+        works(*arguments, **options)
+        if paths[-1].exists():
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, operation, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_together(dict.fromkeys(paths, "new"))
+    assert names(tmp_path) == []
+
+
+def test_what_took_the_place_of_one_of_several_files_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write = files.write_atomically
+
+    def another(path: Path, data: bytes | str, *, new: bool = False) -> os.stat_result:
+        if path.name == "second":
+            (tmp_path / "theirs").write_text("theirs")
+            (tmp_path / "theirs").replace(tmp_path / "first")
+            raise KeyboardInterrupt
+        return write(path, data, new=new)
+
+    monkeypatch.setattr(files, "write_atomically", another)
+    with pytest.raises(KeyboardInterrupt):
+        write_together({tmp_path / "first": "1", tmp_path / "second": "2"})
+    assert (tmp_path / "first").read_text() == "theirs"
 
 
 def test_write_atomically_says_why_it_cannot(tmp_path: Path) -> None:

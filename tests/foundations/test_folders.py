@@ -94,6 +94,55 @@ def test_folders_and_files_obey_the_umask(tmp_path: Path, umask: int) -> None:
         assert (tmp_path / "deep" / "out" / name).stat().st_mode & 0o777 == 0o666 & ~umask
 
 
+@pytest.mark.parametrize("mode", [0o700, 0o2770, 0o775, 0o1777])
+def test_a_folder_that_is_replaced_lets_in_whom_it_let_in(tmp_path: Path, mode: int) -> None:
+    out = fill(tmp_path / "out", OLD)
+    out.chmod(mode)
+    write_folder(out, NEW, OURS)
+    assert texts(out) == NEW
+    assert stat.S_IMODE(out.stat().st_mode) == mode
+
+
+@pytest.mark.parametrize(("mode", "other"), [(0o2770, 0o700), (0o775, 0o755), (0o705, 0o755)])
+def test_a_group_that_cannot_be_kept_gives_no_other_group_its_rights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int, other: int
+) -> None:
+    out = fill(tmp_path / "out", OLD)
+    out.chmod(mode)
+    found, given = folders.lstat, []
+
+    def of_another_group(name: str, folder: int) -> os.stat_result | None:
+        told = found(name, folder)
+        if told is None or name != "out":
+            return told
+        return os.stat_result((*told[:5], told.st_gid + 1, *told[6:10]))
+
+    def refuse(handle: int, user: int, group: int) -> None:
+        given.append((user, group))
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(folders, "lstat", of_another_group)
+    monkeypatch.setattr(os, "fchown", refuse)
+    write_folder(out, NEW, OURS)
+    assert given == [(-1, tmp_path.stat().st_gid + 1)]
+    assert stat.S_IMODE(out.stat().st_mode) == other
+
+
+def test_a_folder_whose_name_does_not_reach_the_disk_gives_way_to_the_old_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fsync(handle: int) -> None:
+        if os.path.samestat(os.fstat(handle), tmp_path.stat()) and "new" in (tmp_path / "out" / OURS[0]).read_text():
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    out = fill(tmp_path / "out", OLD)
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(OutputError, match="Input/output error"):
+        write_folder(out, NEW, OURS)
+    assert texts(out) == OLD
+    assert names(tmp_path) == ["out"]
+
+
 def test_only_its_user_can_enter_what_is_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
 

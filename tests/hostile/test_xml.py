@@ -141,7 +141,7 @@ def test_xacro_is_never_run(tmp_path: Path) -> None:
     call = f"$(eval open('{made}', 'w'))"
     assert "run xacro first" in said(f'<robot name="r"><link name="{call}"/></robot>')
     sentence = said('<robot xmlns:xacro="http://x"><xacro:include filename="/etc/passwd"/><link name="a"/></robot>')
-    assert sentence.endswith("run xacro first and use the URDF that it prints.")
+    assert sentence.endswith("run xacro first and use the URDF that it prints, or let calib init --xacro run it.")
     assert not made.exists()
 
 

@@ -353,6 +353,15 @@ def test_out_in_a_read_only_folder(folder: Path) -> None:
     refused(folder, "closed/out", f"{folder}/closed/out: cannot be written, as {folder}/closed is read-only.")
 
 
+def test_out_of_another_user_where_nobody_else_may_replace_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = folder / "shared" / "out"
+    out.mkdir(parents=True)
+    out.parent.chmod(0o1777)
+    monkeypatch.setattr(os, "geteuid", lambda: out.stat().st_uid + 1)
+    why = f"belongs to another user, and in {out.parent} (sticky) nobody else may replace it; choose another folder."
+    refused(folder, "shared/out", f"{out}: {why}")
+
+
 def test_out_where_the_system_says_read_only(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != folder)
     refused(folder, "a/out", f"{folder}/a/out: cannot be written, as {folder} is read-only.")

@@ -226,6 +226,19 @@ def test_a_job_whose_process_dies_is_told_and_the_others_go_on(monkeypatch: pyte
     assert found == {"a": None, "b": "b: its process died; the memory may not suffice.", "c": None, "d": None}
 
 
+def test_that_no_process_can_be_started_is_not_said_of_the_folder(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    monkeypatch.setattr(joblib.Parallel, "__call__", full)
+    said = run("fleet", "jobs/plain.toml", "-o", "none/left", "-j", "1", "-q")
+    why = "calib fleet: its processes cannot be started or spoken to (Resource temporarily unavailable)."
+    assert said == (1, "", f"Error: {why}\n")
+    assert not (folder / "none").exists()
+
+
 def test_no_more_processes_are_started_than_there_are_jobs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
     configured = joblib.parallel_config
@@ -433,8 +446,9 @@ def test_no_cluster(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fleets, "_PATIENCE", 1)
     chosen = fleet_jobs([Path("jobs/plain.toml")], Path("all"))
     for address in ("tcp://127.0.0.1:1", "nonsense://x", "tls://127.0.0.1:1"):  # TLS without certificates
-        with pytest.raises(JobError, match="no Dask scheduler answers there"):
-            run_fleet(chosen, dask=address)
+        for some in (chosen, ()):  # also where nothing is left to do
+            with pytest.raises(JobError, match="no Dask scheduler answers there"):
+                run_fleet(some, dask=address)
     with socket.create_server(("127.0.0.1", 0)) as silent, pytest.raises(JobError, match="no Dask scheduler answers"):
         run_fleet(chosen, dask=f"tcp://127.0.0.1:{silent.getsockname()[1]}")  # some program that waits to be asked
     for greeting in (b"SSH-2.0-OpenSSH_9.2\r\n", bytes(64)):
@@ -477,6 +491,12 @@ def test_page_has_every_figure_once_and_leads_to_the_reports() -> None:
     assert "c: not trusted. It is worse." in page
     assert page.count("<script>") == 1
     assert "[a \\<b\\>](a%20%3Cb%3E/report.html)" in render_markdown(fleet_report(LINES))
+
+
+def test_a_name_that_is_no_text_leads_to_its_report() -> None:
+    name = "caf\udce9"  # as Latin-1 has it
+    line = JobLine(name, f"{name}.toml", "trusted", (), "validation", POSE, 30, 36, 0, f"{name}/report.html")
+    assert 'href="caf%E9/report.html"' in render_page(fleet_report([line]))
 
 
 def test_terminal_table_fits() -> None:

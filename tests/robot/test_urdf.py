@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calib.foundations.errors import RobotError
+from calib.foundations.xml_text import NOT_EXPANDED
 from calib.robot.sources import examples
 from calib.robot.urdf import LARGEST_URDF, Mimic, parse_urdf, read_urdf
 
@@ -178,15 +179,15 @@ K = '<link name="c"/><joint name="k" type="{}"><parent link="b"/><child link="c"
         # xacro
         (
             arm("", '<xacro:arm prefix=""/>'),
-            "arm.urdf:6: <xacro:arm> is not expanded; run xacro first and use the URDF that it prints.",
+            f"arm.urdf:6: <xacro:arm> {NOT_EXPANDED}",
         ),
         (
             arm('<origin xyz="0 0 ${d}"/>'),
-            "arm.urdf:5: joint 'j': <origin>: xyz='0 0 ${d}' is not expanded; run xacro first and use its output.",
+            f"arm.urdf:5: joint 'j': <origin>: xyz='0 0 ${{d}}' {NOT_EXPANDED}",
         ),
         (
             arm("", '<link name="$(arg prefix)c"/>'),
-            "arm.urdf:6: <link>: name='$(arg prefix)c' is not expanded; run xacro first and use its output.",
+            f"arm.urdf:6: <link>: name='$(arg prefix)c' {NOT_EXPANDED}",
         ),
         # names
         (robot(), "arm.urdf:1: the robot has no link."),
