@@ -260,7 +260,7 @@ class Case:
             for k in range(max(len(self.draft.tools), len(self.setups)))
         ]
         each = n // len(parts)
-        rate, joint_rate = 10.0, 40.0
+        rate, joint_rate = 5.0, 40.0  # of every part some stretches that go together when rows are held out
         wave = self.rng.uniform(0.6, 1.6, (2, len(low), 4))
         phase = self.rng.uniform(0.0, 6.0, (len(low), 4))
         middle, swing = 0.5 * (low + high), 0.3 * (high - low)
