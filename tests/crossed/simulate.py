@@ -380,7 +380,7 @@ class Case:
         eyes, board = np.linalg.inv(self.see(photos)), board_of(self.truth, home, self.draft)
         rows = photos.subset(np.repeat(np.arange(len(q)), many))
         marks = np.tile(MARKS, (len(q), 1))
-        there = marks @ board[:3, :3].T + board[:3, 3]
+        there = self.carried(marks @ board[:3, :3].T + board[:3, 3], rows.setups)
         eyes = np.repeat(eyes, many, axis=0)
         x = np.einsum("nij,nj->ni", eyes[:, :3, :3], there) + eyes[:, :3, 3]
         assert (x[:, 2] > 0.2).all(), "the board is before the camera"
