@@ -79,7 +79,13 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine |
         at, unshown = _by_positions(model, rows, np.concatenate([data.setup for data, _, _ in seen]), at)
     if any(data.camera is not None for data in sets):
         bases, tools, by_cameras = cameras.place_tools(
-            model, carried, at.bases, at.tools, turned(sets, ("pose",)) | at.begun, at.stands
+            model,
+            carried,
+            at.bases,
+            at.tools,
+            turned(sets, ("pose",)) | at.begun,
+            at.placed & ~unshown,
+            at.stands,
         )
         at = at._replace(bases=bases, tools=tools, placed=at.placed | by_cameras)
     if model.tool != "fixed" and not at.placed.all():
