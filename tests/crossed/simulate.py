@@ -355,6 +355,9 @@ class Case:
     def _indicator(self, n: int) -> Columns:
         rows = self.rows(self.draw(n))
         x = self.see(rows)[:, :3, 3]
+        if self.draft.known == "link":  # its normal and its height are in the link's frame
+            bases = np.linalg.inv(np.stack([self.truth.bases[name] for name in rows.setups]))
+            x = np.einsum("nij,nj->ni", bases[:, :3, :3], x) + bases[:, :3, 3]
         shown = x @ np.array([0.6, 0.0, 0.8]) - 0.4 + self.rng.normal(0.0, SIGMA, n)
         return self.columns(rows) | {"target": np.array(["s0"] * n), "indicated [m]": shown}
 
@@ -364,8 +367,11 @@ class Case:
         seen = np.empty((n, 2))
         for k in range(2):
             own = which == k
-            view = np.linalg.inv(_view(self.truth.base, k))
-            seen[own] = _pinhole(T[own][:, :3, 3] @ view[:3, :3].T + view[:3, 3])
+            # Of a camera that stands on a link, at each place of the robot.
+            first = self.truth.bases[self.setups[0]]
+            moved = [self.truth.bases[name] if self.draft.known == "link" else first for name in rows.setups]
+            views = np.linalg.inv(np.stack(moved) @ np.linalg.inv(first) @ _view(first, k))[own]
+            seen[own] = _pinhole(np.einsum("nij,nj->ni", views[:, :3, :3], T[own][:, :3, 3]) + views[:, :3, 3])
         seen += self.rng.normal(0.0, SIGMA_PIXEL, seen.shape)
         columns = self.columns(rows) | {"target": np.array(["s0", "s1"])[which]}
         return columns | {"u [px]": seen[:, 0], "v [px]": seen[:, 1]}

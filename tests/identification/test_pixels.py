@@ -271,6 +271,17 @@ def test_a_camera_finds_its_place_by_marks_that_a_tracker_placed() -> None:
     assert turn < 0.02
 
 
+def test_a_camera_on_a_link_is_found_from_all_places_where_the_robot_stood() -> None:
+    """It was sought from one of them alone, where too few marks may have been seen."""
+    rng = np.random.default_rng(53)
+    true = scene(rng, NOMINAL, "floor", MARK)
+    columns = true.columns(true.draw(rng, 10)) | {"setup": ["left"] * 5 + ["right"] * 5}
+    robot = calib.load_robot(UR5, tip=TIP, links=["base_link"])
+    data = calib.read_measurements(columns, robot, "pixels", instrument=true.camera).named(on={"target": "base_link"})
+    fit = calib.identify(calib.error_model(robot, offsets=INNER[:1], tool="position"), [data])
+    assert relative(fit.machine.frames.targets[0], true.target)[1] < 1e-6
+
+
 @pytest.mark.parametrize("camera_on", ["floor", "tip"])
 def test_a_known_target_tells_where_the_base_is(camera_on: str) -> None:
     rng = np.random.default_rng(61)

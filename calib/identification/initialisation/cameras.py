@@ -93,9 +93,11 @@ def place_tools(
     names, everywhere = sets[0].targets, np.broadcast_to(np.eye(4), bases.shape)
     # In the base, or in the link that carries the target.
     tips = [rows.seen(everywhere) for rows in carried]
-    # A target is seen from where most of its rows are.
+    # A target is seen from where most of its rows are; one that a link carries, from everywhere.
     everything = [
-        max(((setup, name, sights(sets, tips, t, setup)) for setup in range(len(bases))), key=_many)
+        (0, name, sights(sets, tips, t))
+        if name in sets[0].target_links
+        else max(((setup, name, sights(sets, tips, t, setup)) for setup in range(len(bases))), key=_many)
         for t, name in enumerate(names)
     ]
     # The target with the most rows is the best start; others follow from it.
