@@ -22,6 +22,7 @@ from calib.assessment.validation import (
     HeldOut,
     folds,
     held_out,
+    parts_apart,
     predict_held_out,
     row_groups,
     some_rows,
@@ -201,6 +202,7 @@ def compare_models(
     rows = ChosenRows(sets, model_sigmas, losses).some(masks)
     group = np.unique(group[looked_at], return_inverse=True)[1]
     fold = _folds(group, (_FEWER_FOLDS if all_rows > _VERY_MANY_ROWS else FOLDS) if scheme is None else scheme)
+    fold = parts_apart(fold, group, rows.sets)
     number = int(fold.max()) + 1
     fits: dict[str, Fit] = {}
     # Joint terms are chosen about a geometry that is often a model of its own, fitted to all folds by then.

@@ -14,17 +14,18 @@ P. Box, N. R. Draper, *A basis for the selection of a response surface design*, 
 
 The design begins with the poses that bring most one after another; then every pose in turn is exchanged for the best of
 all candidates, until none improves (V. V. Fedorov, *Theory of Optimal Experiments*, 1972). A pose changes M by rank m,
-so that all candidates are judged by matrices of m rows.
+so that all candidates are judged by matrices of m rows. Of very many candidates only those that bring most to a design
+that knows all directions are looked at further.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from calib.foundations import linear
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray
 from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
 from calib.foundations.words import refuse_other
@@ -35,6 +36,8 @@ _MOST_PASSES = 30
 _IMPROVES = 1e-9
 # What stands in for information where nothing is known yet, as a share of what a typical candidate brings.
 _NOTHING_KNOWN = 1e-9
+# Of how many numbers in their matrices of m rows candidates are looked at again and again: 5000 positions, 1250 poses.
+_MOST_NUMBERS = 45_000
 # A pose that changes what is known in some direction by more than this factor is reckoned with from scratch.
 _KEEPS_DIGITS = 1e3
 
@@ -195,10 +198,14 @@ def sequence(s: Space, count: int) -> tuple[int, ...]:
     if not 0 <= count <= len(s.A):
         raise JobError(f"{count} poses cannot be chosen from {len(s.A)} candidates.")
     gains = _Gains.of(s, ())
+    _, m, r = s.A.shape
+    known = -(-2 * r // m)
     while len(gains.chosen) < count:
+        if len(gains.chosen) == known:
+            gains = gains.narrowed(max(count, _MOST_NUMBERS // m**2))
         of_each = gains.of_each()
-        of_each[list(gains.chosen)] = -np.inf
-        gains = gains.plus(int(np.argmax(of_each)), len(gains.chosen))
+        of_each[gains.places] = -np.inf
+        gains = gains.plus(int(gains.kept[np.argmax(of_each)]), len(gains.chosen))
     return gains.chosen
 
 
@@ -214,7 +221,7 @@ def random_sets(s: Space, count: int, designs: int, seed: int = 0) -> list[tuple
 
 
 def _exchanged(s: Space, begin: Sequence[int]) -> Design:
-    gains = _Gains.of(s, tuple(begin))
+    gains = _Gains.of(s, tuple(begin)).narrowed(max(2 * len(begin), _MOST_NUMBERS // s.A.shape[1] ** 2))
     exchanges, unchanged = 0, 0
     for step in range(_MOST_PASSES * len(begin)):
         chosen = gains.chosen
@@ -222,12 +229,12 @@ def _exchanged(s: Space, begin: Sequence[int]) -> Design:
             return Design(tuple(sorted(chosen)), value_of(s, chosen), exchanges, True)
         place = step % len(chosen)
         without = gains.less(place)
-        of_each = without.of_each()
-        taken = of_each[chosen[place]]
-        of_each[list(chosen)] = -np.inf
+        of_each, own = without.of_each(), gains.places
+        taken = of_each[own[place]]
+        of_each[own] = -np.inf
         new = int(np.argmax(of_each))
         if of_each[new] > taken + _IMPROVES * abs(taken):
-            gains = without.plus(new, place)
+            gains = without.plus(int(gains.kept[new]), place)
             exchanges, unchanged = exchanges + 1, 0
         else:
             unchanged += 1
@@ -262,11 +269,14 @@ class _State(NamedTuple):
 class _Gains:
     """By how much each candidate would improve a design, for designs of which each differs little from the last.
 
+    ``kept`` (N,): which candidates are looked at, ascending.
+
     ``S`` (m, m, N): A P A^T + 1 of every candidate, and ``W`` (m, m, N): A P C P A^T, zeros for D. A pose that comes
     or goes changes both by matrices of rank m, which costs a candidate r m^2 in place of r^2 m.
     """
 
     s: Space
+    kept: IntArray
     rows: Array
     misfit: Array
     chosen: tuple[int, ...]
@@ -279,18 +289,40 @@ class _Gains:
         """Return them of a design from scratch."""
         N, m, r = s.A.shape
         rows = np.ascontiguousarray(s.A.transpose(2, 1, 0)).reshape(r, m * N)
-        return cls._at(s, rows, np.ascontiguousarray(s.H.transpose(2, 1, 0)), chosen)
+        return cls._at(s, np.arange(N), rows, np.ascontiguousarray(s.H.transpose(2, 1, 0)), chosen)
 
     @classmethod
-    def _at(cls, s: Space, rows: Array, misfit: Array, chosen: tuple[int, ...]) -> "_Gains":
-        N, m, r = s.A.shape
+    def _at(cls, s: Space, kept: IntArray, rows: Array, misfit: Array, chosen: tuple[int, ...]) -> "_Gains":
+        N, (_, m, r) = len(kept), s.A.shape
         state = _State.of(s, chosen)
         AP = (state.P @ rows).reshape(r, m, N)
         S = np.einsum("rin,rjn->ijn", AP, rows.reshape(r, m, N)) + np.eye(m)[:, :, None]
         W = np.zeros_like(S)
         if s.criterion != "D":
             W = np.einsum("rin,rjn->ijn", (s.C @ AP.reshape(r, m * N)).reshape(r, m, N), AP)
-        return cls(s, rows, misfit, chosen, state, S, W)
+        return cls(s, kept, rows, misfit, chosen, state, S, W)
+
+    @property
+    def places(self) -> IntArray:
+        """Where those that are chosen stand among the candidates that are looked at."""
+        return np.searchsorted(self.kept, self.chosen)
+
+    def narrowed(self, most: int) -> "_Gains":
+        """Return the gains of those candidates alone that bring most, with those that are chosen ``most`` of them."""
+        if len(self.kept) <= most:
+            return self
+        of_each = self.of_each()
+        of_each[self.places] = np.inf
+        best = np.sort(np.argsort(-of_each, kind="stable")[:most])
+        rows = self.rows.reshape(len(self.rows), -1, len(self.kept))[..., best]
+        return replace(
+            self,
+            kept=self.kept[best],
+            rows=np.ascontiguousarray(rows).reshape(len(rows), -1),
+            misfit=np.ascontiguousarray(self.misfit[..., best]),
+            S=np.ascontiguousarray(self.S[..., best]),
+            W=np.ascontiguousarray(self.W[..., best]),
+        )
 
     def less(self, place: int) -> "_Gains":
         """Return the gains beside the design without the candidate at a place."""
@@ -303,11 +335,11 @@ class _Gains:
     def _changed(self, c: int, sign: float, chosen: tuple[int, ...]) -> "_Gains":
         s, (P, X) = self.s, self.state
         # P' = P - U T U^T, with U = P A_c^T; where little of the information remains, its digits would not.
-        m, N = len(s.A[c]), len(s.A)
+        m, N = len(s.A[c]), len(self.kept)
         U = P @ s.A[c].T
         left = np.eye(m) + sign * (s.A[c] @ U)
         if not 1.0 / _KEEPS_DIGITS < np.linalg.eigvalsh(left)[0] < np.linalg.eigvalsh(left)[-1] < _KEEPS_DIGITS:
-            return self._at(s, self.rows, self.misfit, chosen)
+            return self._at(s, self.kept, self.rows, self.misfit, chosen)
         T = sign * np.linalg.inv(left)
         T = 0.5 * (T + T.T)
         state = _State(P - U @ T @ U.T, X + U @ T @ (s.H[c] - s.A[c] @ X))
@@ -320,7 +352,7 @@ class _Gains:
         if s.criterion != "D":
             of_rows = np.einsum("kin,kjn->ijn", Y, YK)
             W = W + of_rows + np.swapaxes(of_rows, 0, 1)
-        return _Gains(s, self.rows, self.misfit, chosen, state, S, W)
+        return _Gains(s, self.kept, self.rows, self.misfit, chosen, state, S, W)
 
     def of_each(self) -> Array:
         """Return by how much each candidate (N,) would improve the criterion if it came on top."""

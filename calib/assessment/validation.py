@@ -117,9 +117,7 @@ def hold_out(
         number = int(group.max(initial=0)) + 1
         if number < 2:
             raise MeasurementError(f"{data.where}: the rows are of one pose or one group, and none can be held out.")
-        many = min(max(round(share * number), 1), number - 1)
-        out = np.isin(group, np.random.default_rng(0).permutation(number)[:many])
-        out &= ~np.isin(group, group[_needed(data, out)])
+        out = _at_random(data, group, min(max(round(share * number), 1), number - 1))
         if not out.any():
             raise MeasurementError(
                 f"{data.where}: no rows can be held out, as too few of their tools and set-ups would be left; name "
@@ -139,15 +137,34 @@ def hold_out(
     return data.subset(~out).with_own_names(), data.subset(out).with_own_names()
 
 
-def _needed(data: Measurements, out: BoolArray) -> BoolArray:
-    """Return which rows (N,) are of a tool or a set-up, one of several, that those not ``out`` (N,) hardly show."""
+def _at_random(data: Measurements, group: IntArray, many: int) -> BoolArray:
+    """Return the rows (N,) of ``many`` groups at random, or of fewer: none that a tool or a set-up needs.
+
+    One of several tools or set-ups needs as many measured numbers as a pose has.
+    """
     each = data.sigma.shape[1]
-    found = np.zeros(len(data), dtype=np.bool_)
-    for own in (data.setup, *(end.tool for end in data.ends)):
-        kept = np.bincount(own[(own >= 0) & ~out], minlength=int(own.max(initial=-1)) + 1) * each
-        if np.unique(own).size > 1:
-            found |= (own >= 0) & (kept < _OF_A_POSE)[own]
-    return found
+    order = np.random.default_rng(0).permutation(int(group.max()) + 1)
+    parts = [own for own in (data.setup, *(end.tool for end in data.ends)) if np.unique(own).size > 1]
+    if not parts:
+        return np.isin(group, order[:many])
+    # How many numbers each group has of each tool and set-up.
+    counted = [
+        scipy.sparse.coo_array(
+            (np.full(np.count_nonzero(own >= 0), each), (group[own >= 0], own[own >= 0])),
+            shape=(len(order), int(own.max()) + 1),
+        )
+        for own in parts
+    ]
+    counts = scipy.sparse.hstack(counted, format="csr")
+    left = np.asarray(counts.sum(axis=0))
+    chosen: list[int] = []
+    for k in order:
+        own = slice(*counts.indptr[k : k + 2])
+        of, lost = counts.indices[own], counts.data[own]
+        if len(chosen) < many and (left[of] - lost >= _OF_A_POSE).all():
+            left[of] -= lost
+            chosen.append(int(k))
+    return np.isin(group, chosen)
 
 
 def _words(measurements: Sequence[Measurements]) -> list[str | None]:
@@ -192,6 +209,21 @@ def folds(group: IntArray, count: int = FOLDS) -> IntArray:
     fold = np.empty(number, dtype=np.intp)
     fold[np.random.default_rng(0).permutation(number)] = np.arange(number) % min(count, number)
     return np.asarray(fold[group], dtype=np.intp)
+
+
+def parts_apart(fold: IntArray, group: IntArray, measurements: Sequence[Measurements]) -> IntArray:
+    """Return the folds (N,) of rows so that of each table no tool and no set-up is in one fold alone, by chance.
+
+    Where it has several groups, the first goes on to the next fold: a fit without all its rows would not know it.
+    """
+    found, number = np.array(fold), int(fold.max()) + 1
+    ends = np.cumsum([len(data) for data in measurements])
+    for data, rows in zip(measurements, np.split(np.arange(len(fold)), ends[:-1]), strict=True):
+        for part in (data.setup, *(end.tool for end in data.ends)):
+            for own in (rows[part == name] for name in np.unique(part[part >= 0])):
+                if group[own].min() < group[own].max() and found[own].min() == found[own].max():
+                    found[group == group[own].min()] = (found[own[0]] + 1) % number
+    return found
 
 
 class Neighbourhoods(NamedTuple):
@@ -341,7 +373,8 @@ def cross_validate(
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
     group = row_groups(sets)
     rows = ChosenRows(sets, model_sigmas, losses)
-    return predict_held_out(lambda own: own.fit(model), model, rows, group, folds(group, count))
+    fold = parts_apart(folds(group, count), group, sets)
+    return predict_held_out(lambda own: own.fit(model), model, rows, group, fold)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

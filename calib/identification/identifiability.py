@@ -255,13 +255,16 @@ def minimal_set(rows: Array, rank: int, order: Sequence[int]) -> tuple[int, ...]
     """Return the indices of ``rank`` parameters that together determine all that the data determine.
 
     In ascending order, and chosen greedily in the given order of preference: a parameter is taken when its column (of
-    ``rows`` (q, p)) lies clearly outside the span of those taken before. Unlike pivoting by size, whose ties follow
+    ``rows`` (q, p), of which the best ``rank`` directions alone count: what else moves a parameter does not tell it)
+    lies clearly outside the span of those taken before. Unlike pivoting by size, whose ties follow
     rounding, the choice depends on the order alone. Columns that are nearly in that span, or small beside the last
     direction that counts as determined, are considered only when rank is still missing.
     """
     if rank == 0:
         return ()
-    least = singular_directions(rows).singular_values[rank - 1]
+    found = singular_directions(rows)
+    least = found.of_common[rank - 1]
+    rows = found.of_common[:rank, None] * found.vectors[:, :rank].T
     basis = np.zeros((rows.shape[0], 0))
     taken: list[int] = []
     for share in (3e-2, 1e-3, 1e-5, 1e-7, RANK_TOLERANCE):

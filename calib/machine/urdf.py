@@ -13,11 +13,14 @@ from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.links import motions
 from calib.robot.load import load_robot, with_document
 from calib.robot.robot import Deviations, Robot
+from calib.robot.sampling import closing, joint_limits
 from calib.robot.urdf import UrdfJoint, parse_urdf
 from calib.robot.urdf_writer import splice_origins
 
 # Largest difference at the tip, in m and in entries of the rotation, between the machine and its URDF read back.
 _ROUNDING = 1e-9
+# At how many readings; where loops close is tried at so many more, and at hardly any they close by rounding alone.
+_COMPARED, _TRIED, _BY_ROUNDING = 20, 200, 0.1
 
 
 def calibrated_origins(robot: Robot, deviations: Deviations) -> Mapping[str, Array]:
@@ -52,20 +55,38 @@ def calibrated_origins(robot: Robot, deviations: Deviations) -> Mapping[str, Arr
 def calibrated_urdf(robot: Robot, deviations: Deviations) -> bytes:
     """Return the calibrated document: only origins differ from the nominal one, byte for byte.
 
-    Before it is returned it is read back and compared with the calibrated machine, joint terms left out, at its tips;
-    raises OutputError if they differ.
+    Before it is returned it is read back and compared with the calibrated machine, joint terms left out, at its tips,
+    where closed loops close; raises OutputError if they differ.
     """
     document = splice_origins(robot.urdf.source, calibrated_origins(robot, deviations), robot.urdf.where)
     again = with_document(robot, parse_urdf(document, "the calibrated URDF"))
-    readings = np.random.default_rng(0).uniform(-1.0, 1.0, (20, len(robot.readings)))
     plain = replace(deviations, terms=np.zeros_like(deviations.terms))
+    readings = np.random.default_rng(0).uniform(-1.0, 1.0, (_COMPARED, len(robot.readings)))
+    if robot.loops:
+        readings = _where_loops_close(robot, plain, again, readings)
     difference = max(
-        float(np.max(np.abs(again.with_tip(link).tips(readings) - robot.with_tip(link).tips(readings, plain))))
+        float(np.abs(again.with_tip(link).tips(readings) - robot.with_tip(link).tips(readings, plain)).max(initial=0.0))
         for link in robot.links or (robot.tip,)
     )
     if not difference < _ROUNDING:
         raise OutputError(f"the calibrated URDF read back differs from the calibrated machine by {difference:.3g}.")
     return document
+
+
+def _where_loops_close(robot: Robot, plain: Deviations, again: Robot, readings: Array) -> Array:
+    """Return some of the readings (N, nr), and of others within the joints' limits, at which the machine's loops close.
+
+    Raises OutputError where those of its URDF do not.
+    """
+    limits = joint_limits(robot)
+    more = np.random.default_rng(1).uniform(limits[:, 0], limits[:, 1], (_TRIED, len(limits)))
+    readings = np.concatenate([readings, more])
+    found = readings[closing(robot, readings, (plain,))]
+    there = closing(again, found)
+    # At a row more or less they close by rounding.
+    if np.count_nonzero(~there) > _BY_ROUNDING * len(found):
+        raise OutputError("the calibrated URDF read back has loops that do not close where the machine's do.")
+    return found[there][:_COMPARED]
 
 
 def lost_in_urdf(

@@ -537,7 +537,7 @@ class TipModel:
         _, d, n = by_joint.shape
         active = coupling.copy()
         active[passive] = 0.0
-        found = (active.T @ by_joint.reshape(len(active), d * n)).reshape(-1, d, n)
+        found = (active.T @ by_joint.reshape(len(active), d * n)).reshape(active.shape[1], d, n)
         if self._closure is not None:
             found += np.einsum("kdn,nkc->cdn", by_joint[passive], self._passive_rates(q)[1])
         return found

@@ -30,12 +30,20 @@ def main(numbers: list[int]) -> int:
         with tempfile.TemporaryDirectory() as folder:
             try:
                 walk(build(every[number], Path(folder) / "job", seed=number))
-                print(f"{number} of {len(every)}: well")
-            except Exception:  # noqa: BLE001 - a script that finds faults goes on to the next one
+                print(f"{number} of {len(every)}: well", flush=True)
+            except Exception as error:  # noqa: BLE001 - a script that finds faults goes on to the next one
                 failed += 1
-                print(f"{number} of {len(every)}: {told(every[number])}\n{traceback.format_exc(limit=-4)}")
+                print(
+                    f"{number} of {len(every)}: {told(every[number])}\n{_where(error)}{traceback.format_exc(limit=-4)}"
+                )
     print(f"{failed} failed")
     return failed
+
+
+def _where(error: Exception) -> str:
+    """Return the step of the walk that failed, which the end of a long traceback does not show."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return "".join(f"in {frame.name}, line {frame.lineno}\n" for frame in frames if frame.filename.endswith("walk.py"))
 
 
 if __name__ == "__main__":

@@ -47,6 +47,7 @@ MEGABYTES = 1024.0
 _PATIENCE = 15  # s of processor time after which a process is ended
 _FILES = ("calibration.toml", "arm_cmm.urdf", "identification.csv", "validation.csv")
 _PLAN = ("plan", "calibration.toml", "-o", "plan.csv", "-n", "20")
+_CHOOSE = ("plan", "calibration.toml", "-o", "plan.csv", "--candidates", "candidates.csv")
 _CALIBRATE = ("calibrate", "calibration.toml", "-o", "out")
 _MODELS = ("models", "calibration.toml")
 _COMMAND = "import sys; sys.argv[0] = 'calib'; from calib.cli import main; main()"
@@ -625,6 +626,14 @@ def _giving_way(folder: Path, size: int) -> None:
     _table(folder / "loaded.csv", header, np.hstack([rows, torques]))
     bearings = 'lateral_moments = "all"\ntorque = "all"\n'
     _own_job(folder, _UR10, "tool0", bearings, _measured("loaded.csv", 'loss = "cauchy"\n'))
+
+
+def _candidates(folder: Path, size: int) -> None:
+    """Write readings, of which those of a plan are chosen."""
+    robot = load_robot(folder / "arm_cmm.urdf", "probe")
+    header, rows = _seen_by_tracker(robot, max(size // 45, 60))
+    joints = len(robot.readings)
+    _table(folder / "candidates.csv", ",".join(header.split(",")[:joints]), rows[:, :joints])
 
 
 def _verified(folder: Path, size: int) -> None:
@@ -1282,6 +1291,9 @@ HOSTILE: dict[str, Hostile] = {
     "a process of many rows": _rows(lambda _: "", "", (("[error_model]", _PROCESS),)),
     "a process of noise": Hostile(_different((("[error_model]", _PROCESS),))),
     "verified by a process": Hostile(_verified, ("verify", _RESULTS, "new.csv")),
+    "candidates of a plan": Hostile(_candidates, _CHOOSE),
+    "candidates of a plan of poses": Hostile(_candidates, (*_CHOOSE, "--observes", "pose")),
+    "candidates of a plan with a target": Hostile(_candidates, (*_CHOOSE, "--target", "0.01 mm")),
     "columns of a table": Hostile(_wide),
     "lines without cells": Hostile(
         lambda folder, size: (folder / "identification.csv").write_text("a\n" * (size // 2), encoding="utf-8") and None

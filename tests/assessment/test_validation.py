@@ -14,6 +14,7 @@ from calib.assessment.validation import (
     largest_unharmed,
     neighbourhoods,
     one_standard_error,
+    parts_apart,
     poses_between,
     row_groups,
     smallest_unharmed,
@@ -229,3 +230,31 @@ def test_no_set_up_is_held_out_whose_other_rows_hardly_show_it() -> None:
     alone = replace(data, setups=tuple(map(str, range(60))), setup=np.arange(60))
     with pytest.raises(MeasurementError, match="no rows can be held out, as too few of their tools and set-ups"):
         calib.hold_out(alone)
+
+
+def test_another_group_is_held_out_where_the_one_by_chance_is_the_last_of_its_tool() -> None:
+    """Of two stretches of one tool and one of another none was held out, as chance took that of the other."""
+    _, data = measured(60)
+    group = np.repeat(["a", "b", "c"], 20)
+    for alone in "abc":
+        two = replace(data, group=tuple(group), tools=("one", "two"), tool=(group == alone).astype(np.intp))
+        some, rest = calib.hold_out(two)
+        assert (len(some), len(rest)) == (40, 20)
+        assert rest.tools == ("one",)
+
+
+def test_by_chance_no_tool_that_has_several_groups_is_in_one_fold_alone() -> None:
+    """Whether the two poses of a tool came into one fold was chance, and then nothing could be judged."""
+    model, data = measured(24)
+    group = row_groups([data])
+    fold = folds(group, 4)
+    together = [int(np.flatnonzero(group == g)[0]) for g in range(24) if fold[np.flatnonzero(group == g)[0]] == 2]
+    rare = np.isin(np.arange(24), together[:2]).astype(np.intp)
+    two = replace(data, tools=("tool", "rare"), tool=rare)
+    found = parts_apart(fold, group, [two])
+    assert sorted(found[rare == 1]) == [2, 3]
+    assert np.count_nonzero(found != fold) == 1
+    cross_validate(model, two, count=4)
+    # Of each table, as one may hold what another lacks.
+    assert np.count_nonzero(parts_apart(fold, group, [two.subset(rare == 0), two.subset(rare == 1)]) != fold) <= 1
+    np.testing.assert_array_equal(parts_apart(fold, group, [data]), fold)

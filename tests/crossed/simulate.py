@@ -260,7 +260,7 @@ class Case:
             for k in range(max(len(self.draft.tools), len(self.setups)))
         ]
         each = n // len(parts)
-        rate, joint_rate = 10.0, 40.0
+        rate, joint_rate = 5.0, 40.0  # of every part some stretches that go together when rows are held out
         wave = self.rng.uniform(0.6, 1.6, (2, len(low), 4))
         phase = self.rng.uniform(0.0, 6.0, (len(low), 4))
         middle, swing = 0.5 * (low + high), 0.3 * (high - low)
@@ -355,6 +355,9 @@ class Case:
     def _indicator(self, n: int) -> Columns:
         rows = self.rows(self.draw(n))
         x = self.see(rows)[:, :3, 3]
+        if self.draft.known == "link":  # its normal and its height are in the link's frame
+            bases = np.linalg.inv(np.stack([self.truth.bases[name] for name in rows.setups]))
+            x = np.einsum("nij,nj->ni", bases[:, :3, :3], x) + bases[:, :3, 3]
         shown = x @ np.array([0.6, 0.0, 0.8]) - 0.4 + self.rng.normal(0.0, SIGMA, n)
         return self.columns(rows) | {"target": np.array(["s0"] * n), "indicated [m]": shown}
 
@@ -364,8 +367,11 @@ class Case:
         seen = np.empty((n, 2))
         for k in range(2):
             own = which == k
-            view = np.linalg.inv(_view(self.truth.base, k))
-            seen[own] = _pinhole(T[own][:, :3, 3] @ view[:3, :3].T + view[:3, 3])
+            # Of a camera that stands on a link, at each place of the robot.
+            first = self.truth.bases[self.setups[0]]
+            moved = [self.truth.bases[name] if self.draft.known == "link" else first for name in rows.setups]
+            views = np.linalg.inv(np.stack(moved) @ np.linalg.inv(first) @ _view(first, k))[own]
+            seen[own] = _pinhole(np.einsum("nij,nj->ni", views[:, :3, :3], T[own][:, :3, 3]) + views[:, :3, 3])
         seen += self.rng.normal(0.0, SIGMA_PIXEL, seen.shape)
         columns = self.columns(rows) | {"target": np.array(["s0", "s1"])[which]}
         return columns | {"u [px]": seen[:, 0], "v [px]": seen[:, 1]}
@@ -380,7 +386,7 @@ class Case:
         eyes, board = np.linalg.inv(self.see(photos)), board_of(self.truth, home, self.draft)
         rows = photos.subset(np.repeat(np.arange(len(q)), many))
         marks = np.tile(MARKS, (len(q), 1))
-        there = marks @ board[:3, :3].T + board[:3, 3]
+        there = self.carried(marks @ board[:3, :3].T + board[:3, 3], rows.setups)
         eyes = np.repeat(eyes, many, axis=0)
         x = np.einsum("nij,nj->ni", eyes[:, :3, :3], there) + eyes[:, :3, 3]
         assert (x[:, 2] > 0.2).all(), "the board is before the camera"

@@ -197,7 +197,7 @@ def test_a_minimal_set_takes_base_tool_and_offsets_before_placements(robot: cali
         ([[1, 1, 0], [0, 0, 1]], 2, (0, 1, 2), (0, 2)),
         ([[1, 1, 0], [0, 0, 1]], 2, (1, 2, 0), (1, 2)),
         ([[1, 1, 0], [0, 1e-4, 1]], 2, (0, 1, 2), (0, 2)),  # nearly the same is not taken while others are left
-        ([[1, 1, 0], [0, 1e-4, 1]], 1, (2, 1, 0), (2,)),
+        ([[1, 1, 0], [0, 1e-4, 1]], 1, (2, 1, 0), (1,)),  # the third is in the direction that does not count
         ([[0, 1]], 1, (0, 1), (1,)),
         ([[1e-13, 1]], 1, (0, 1), (1,)),  # rounding is not taken either
         ([[1, 0, 0], [0, 1e-3, 1]], 2, (1, 0, 2), (0, 2)),  # nor what is hardly seen, in its place
@@ -208,6 +208,20 @@ def test_a_minimal_set_follows_the_order(
     matrix: list[list[float]], rank: int, order: tuple[int, ...], kept: tuple[int, ...]
 ) -> None:
     assert minimal_set(np.array(matrix, dtype=float), rank, order) == kept
+
+
+def test_what_a_minimal_set_leaves_out_spans_the_null_space_where_nothing_parts_it_from_the_rest() -> None:
+    """Of values about the threshold, parameters of the null space were taken, and its directions could not be told."""
+    chance = np.random.default_rng(0)
+    for p in range(2, 9):
+        V = np.linalg.qr(chance.normal(size=(p, p)))[0]
+        for vectors in (V, np.linalg.qr(np.eye(p) + 1e-3 * chance.normal(size=(p, p)))[0]):
+            rows = np.linspace(1.2, 0.9, p)[:, None] * vectors.T
+            for rank in range(1, p):
+                kept = minimal_set(rows, rank, range(p - 1, -1, -1))
+                left = np.setdiff1d(np.arange(p), kept)
+                assert len(kept) == rank
+                assert np.linalg.svd(vectors[left, rank:], compute_uv=False)[-1] > 1e-3
 
 
 def test_a_gauge_weighs_the_robot_and_keeps_frames_only_where_nothing_else_moves(robot: calib.Robot) -> None:

@@ -253,6 +253,35 @@ def test_a_tracker_and_a_camera_in_one_fit(camera_on: str) -> None:
     assert turn < 4e-3
 
 
+def test_a_camera_finds_its_place_by_marks_that_a_tracker_placed() -> None:
+    """Of each mark it needed six poses, though where they are on the tip was known."""
+    rng = np.random.default_rng(52)
+    arm, base = NOMINAL.moved(rng), machines.anywhere(rng)
+    true = scene(rng, arm, "floor", MARK, base=base)
+    tools = {name: machines.pose(place) for name, place in (("A", (0.03, -0.02, 0.09)), ("B", (-0.04, 0.01, 0.06)))}
+    tracked = machines.Machine(arm, base, tools)
+    names = ["A", "B"] * 5
+    data = tracked.measure(ROBOT, arm.draw(rng, 10), points=names, rng=rng, sigma=0.02e-3)
+    parts = [replace(true, tool=tools[name]).columns(true.draw(rng, n), rng, 0.1) for name, n in (("A", 5), ("B", 2))]
+    columns = {title: np.concatenate([np.asarray(part[title]) for part in parts]) for title in parts[0]}
+    seen = calib.read_measurements(columns | {"tool": list("AAAAABB")}, ROBOT, "pixels", instrument=true.camera)
+    fit = calib.identify(calib.error_model(ROBOT, offsets=INNER, tool="position"), [data, seen])
+    place, turn = relative(fit.machine.frames.targets[0], true.target)
+    assert place < 0.02
+    assert turn < 0.02
+
+
+def test_a_camera_on_a_link_is_found_from_all_places_where_the_robot_stood() -> None:
+    """It was sought from one of them alone, where too few marks may have been seen."""
+    rng = np.random.default_rng(53)
+    true = scene(rng, NOMINAL, "floor", MARK)
+    columns = true.columns(true.draw(rng, 10)) | {"setup": ["left"] * 5 + ["right"] * 5}
+    robot = calib.load_robot(UR5, tip=TIP, links=["base_link"])
+    data = calib.read_measurements(columns, robot, "pixels", instrument=true.camera).named(on={"target": "base_link"})
+    fit = calib.identify(calib.error_model(robot, offsets=INNER[:1], tool="position"), [data])
+    assert relative(fit.machine.frames.targets[0], true.target)[1] < 1e-6
+
+
 @pytest.mark.parametrize("camera_on", ["floor", "tip"])
 def test_a_known_target_tells_where_the_base_is(camera_on: str) -> None:
     rng = np.random.default_rng(61)

@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.foundations.errors import PoseError, RobotError
+from calib.foundations.errors import OutputError, PoseError, RobotError
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
+from calib.machine import urdf
 from calib.machine.model_file import model_json
 from calib.machine.of_fit import machine_of
 from calib.machine.urdf import calibrated_urdf
@@ -562,6 +563,20 @@ def test_the_calibrated_urdf_reads_back_as_the_calibrated_machine(name: str) -> 
     d = deviations(robot, 1e-3, 1e-3)
     again = with_document(robot, parse_urdf(calibrated_urdf(robot, d), "calibrated.urdf"))
     np.testing.assert_allclose(again.tips(readings), robot.tips(readings, d), atol=1e-12)
+
+
+def test_the_calibrated_urdf_is_compared_where_the_loops_close(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At readings of a radian, which it never took, the rod of a sound machine did not reach, and it had no URDF."""
+    robot = load(four_bar_urdf(c=0.72), "tip", PARALLELOGRAM)
+    d = deviations(robot, 1e-3, 1e-3)
+    document = calibrated_urdf(robot, d)
+    readings = np.random.default_rng(0).uniform(-0.4, 0.4, (10, 5))
+    again = with_document(robot, parse_urdf(document, "calibrated.urdf"))
+    np.testing.assert_allclose(again.tips(readings), robot.tips(readings, d), atol=1e-12)
+    short = four_bar_urdf(c=0.5).encode()
+    monkeypatch.setattr(urdf, "splice_origins", lambda *_: short)
+    with pytest.raises(OutputError, match="has loops that do not close where the machine's do"):
+        calibrated_urdf(robot, d)
 
 
 @pytest.mark.parametrize("name", MACHINES)

@@ -58,6 +58,16 @@ def test_names_and_keys_are_of_one_kind() -> None:
 
 
 @ALL
+def test_of_no_rows_there_are_no_poses(kind: Kind) -> None:
+    """A set-up or a tool that has none was asked for its poses, and bending told no number from no rows."""
+    robot, d, q, told = drawn(kind)
+    none = np.zeros(0, dtype=np.intp)
+    assert robot.tips(q[none], d, told.subset(none)).shape == (0, 4, 4)
+    tips, by_reading = TipModel(robot, d).driven(q[none], told.subset(none))
+    assert (tips.shape, by_reading.shape) == ((0, 4, 4), (0, 6, 6))
+
+
+@ALL
 def test_a_jobs_key_chooses_it(kind: Kind) -> None:
     assert set(ErrorModelSection.model_fields) >= {kind.key, *kind.options}
     for word in (*kind.words, "all"):

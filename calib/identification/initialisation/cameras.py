@@ -75,12 +75,14 @@ def place_tools(
     bases: Array,
     tools: Array,
     turned: BoolArray,
+    pointed: BoolArray,
     stands: BoolArray,
 ) -> tuple[Array, Array, BoolArray]:
     """Return bases (b, 4, 4) and tools (k, 4, 4) as cameras saw them, and which tools they saw.
 
-    Tools that are ``turned`` (k,) have their orientation from elsewhere and stay. So do bases that stand (b,): they are
-    known, or were measured in an instrument's frame. For others the targets that are known are that frame.
+    Tools that are ``turned`` (k,) have their orientation from elsewhere and stay. Of those ``pointed`` (k,) the
+    position is known, which is all that a camera beside the robot needs of a single mark. Bases that stand (b,) stay:
+    they are known, or were measured in an instrument's frame. For others the targets that are known are that frame.
 
     Raises MeasurementError when there are too few marks or poses.
     """
@@ -91,14 +93,18 @@ def place_tools(
     names, everywhere = sets[0].targets, np.broadcast_to(np.eye(4), bases.shape)
     # In the base, or in the link that carries the target.
     tips = [rows.seen(everywhere) for rows in carried]
-    # A target is seen from where most of its rows are.
+    # A target is seen from where most of its rows are; one that a link carries, from everywhere.
     everything = [
-        max(((setup, name, sights(sets, tips, t, setup)) for setup in range(len(bases))), key=_many)
+        (0, name, sights(sets, tips, t))
+        if name in sets[0].target_links
+        else max(((setup, name, sights(sets, tips, t, setup)) for setup in range(len(bases))), key=_many)
         for t, name in enumerate(names)
     ]
     # The target with the most rows is the best start; others follow from it.
     for setup, name, own in sorted(everything, key=_many, reverse=True):
-        sought = {int(k) for sight in own for k in sight.tool} - set(np.flatnonzero(placed).tolist())
+        of_points = all(sight.camera.camera_on == "floor" and not sight.data.of_boards for sight in own)
+        enough = placed | pointed if of_points else placed
+        sought = {int(k) for sight in own for k in sight.tool} - set(np.flatnonzero(enough).tolist())
         known = model.targets.get(name)
         at_rest = stands[setup] or name in sets[0].target_links
         if not own or (not sought and (at_rest or known is None)):

@@ -79,7 +79,13 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine |
         at, unshown = _by_positions(model, rows, np.concatenate([data.setup for data, _, _ in seen]), at)
     if any(data.camera is not None for data in sets):
         bases, tools, by_cameras = cameras.place_tools(
-            model, carried, at.bases, at.tools, turned(sets, ("pose",)) | at.begun, at.stands
+            model,
+            carried,
+            at.bases,
+            at.tools,
+            turned(sets, ("pose",)) | at.begun,
+            at.placed & ~unshown,
+            at.stands,
         )
         at = at._replace(bases=bases, tools=tools, placed=at.placed | by_cameras)
     if model.tool != "fixed" and not at.placed.all():
@@ -186,7 +192,9 @@ def _together(
 def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _Placed:
     """Place bases that nothing in an instrument's frame shows, by what is touched or seen from others, or is known."""
     names = carried[0].data
-    there = [rows.some(at.stands[rows.data.setup]) for rows in carried]
+    # What a link carries says nothing of a base.
+    links = np.array([*(name in names.target_links for name in names.targets), False])
+    there = [rows.some(at.stands[rows.data.setup] & ~links[rows.data.target]) for rows in carried]
     frames = with_targets(model, there, Frames(at.bases, at.tools))
     told = {name for rows in there for name in rows.data.seen_targets} | set(model.targets)
     shown = np.array([name in told and name not in names.target_links for name in names.targets], dtype=np.bool_)

@@ -28,7 +28,7 @@ class Bending(LinkKind):
 
         def found(rows: Rows) -> Array:
             moved = np.einsum("nbi,bij->nbj", -rows.held[:, ends], beams)
-            return np.asarray(moved.reshape(len(moved), -1))
+            return np.asarray(moved.reshape(len(moved), ends.size))
 
         return found
 
