@@ -20,6 +20,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.foundations.words import not_calibrated
 from calib.identification.fit import Fit
 from calib.identification.identify import identify_alike
 from calib.measurement.kinds import QUANTITIES
@@ -79,7 +80,7 @@ def bootstrap(
         )
     tools = fit.measurements[0].tools
     if tool not in tools:
-        raise MeasurementError(f"there is no tool {tool!r}; the calibrated tools are {', '.join(map(repr, tools))}.")
+        raise MeasurementError(f"{not_calibrated('tool', tool, tools)}.")
     where = np.asarray(readings, dtype=np.float64)
     rng = np.random.default_rng(seed)
     poses = [pose_groups(data) for data in fit.measurements]

@@ -12,6 +12,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.choices import PoseFrame, What
 from calib.foundations.errors import JobError
+from calib.foundations.words import not_calibrated
 from calib.machine.calibrated import CalibratedMachine
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import TipModel
@@ -152,7 +153,7 @@ def _tools(model: CalibratedMachine, tool: str | Sequence[str], n: int) -> Array
         raise JobError(f"{len(names)} tools are named for {n} targets; there must be one, or as many.")
     for name in {tool} if isinstance(tool, str) else dict.fromkeys(names):
         if name not in model.tools:
-            raise JobError(f"there is no tool {name!r}; the calibrated tools are {', '.join(map(repr, model.tools))}.")
+            raise JobError(f"{not_calibrated('tool', name, model.tools)}.")
     return np.array([model.tools[name] for name in names]).reshape(-1, 4, 4)
 
 

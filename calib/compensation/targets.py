@@ -17,6 +17,7 @@ from calib.foundations.choices import PoseFrame, What
 from calib.foundations.csv_text import csv_cell, csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import MM, MRAD, UNITS, Dimension, Unit
+from calib.foundations.words import not_calibrated
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.columns import filled, orientations, stacked
 from calib.measurement.conditions import conditions
@@ -103,10 +104,7 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool") -> Targe
             line, say = (
                 (f":{table.lines[n]}", "") if "tool" in columns else ("", "; name one, or write a column 'tool'")
             )
-            raise MeasurementError(
-                f"{where}{line}: there is no tool {name!r}; the calibrated tools are "
-                f"{', '.join(map(repr, model.tools))}{say}."
-            )
+            raise MeasurementError(f"{where}{line}: {not_calibrated('tool', name, model.tools)}{say}.")
     told = conditions(table, model.robot.readings)
     if unsaid := lacking(model.robot.terms, list(joints), told):
         raise MeasurementError(f"{where}: there is no column {unsaid[1]!r}, which {unsaid[0]} of the machine needs.")

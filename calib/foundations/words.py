@@ -44,6 +44,12 @@ def listed(names: Collection[str], most: int = 12) -> str:
     return ", ".join(map(shown, first)) + more
 
 
+def not_calibrated(what: str, name: str, calibrated: Collection[str]) -> str:
+    """Return the sentence, without its full stop, about a tool or set-up that is not one of those calibrated."""
+    known = f"the calibrated {noun(len(calibrated), 'one is', 'ones are')} {listed(calibrated)}"
+    return f"there is no {what} {shown(name)}; {known if calibrated else 'none was calibrated'}"
+
+
 def refuse_other(word: str, allowed: Collection[str], where: str, error: type[CalibError] = JobError) -> None:
     """Raise ``error`` for a word that is not one of those allowed."""
     if word not in allowed:

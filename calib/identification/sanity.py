@@ -56,12 +56,15 @@ _SAME = 1.01
 # Sizes of one family differ by more (UR3, UR5, UR10: 1.4 to 2.4); a unit is taken for one within this factor.
 _ANOTHER_SIZE, _FAMILY = 1.1, 4.0
 _LIKE_A_UNIT = 1.15
-# Cost: evenly spread rows, evaluations of a trial (the last steps change the third digit), trials after the screening.
+# Cost: evenly spread rows, evaluations of a trial (the last steps change the third digit; without an instrument's frame
+# a start is less near, and more are needed), trials after the screening.
 _MOST_ROWS = 120
 # Three times those of the longest arm we know.
 _MOST_TRIED = 30
 _NUMBERS_PER_UNKNOWN = 2
-_EVALUATIONS = 4
+_EVALUATIONS, _EVALUATIONS_UNSEEN = 4, 16
+# A trial ends where one step changes what is missed by less than this share.
+_HARDLY = 1e-3
 _PROMISING = 8
 _LISTED = 3
 
@@ -170,11 +173,14 @@ def _ordinary(model: ErrorModel) -> ErrorModel:
     )
 
 
-def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int = _EVALUATIONS) -> float:
+def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int | None = None) -> float:
     """Return the rms over the rows, in m, that base, tool and ordinary offsets leave; turns weigh times the reach.
 
     Gauss-Newton from the best base and tool: priors hold the offsets back while much is unexplained, and limits always.
+    Without ``evaluations``, as many as are usual.
     """
+    if evaluations is None:
+        evaluations = _EVALUATIONS if _seen(sets) else _EVALUATIONS_UNSEEN
     problem = _problem(_ordinary(model), sets)
     parameters, frames, sets = problem.parameters, problem.reference, problem.measurements
     units = np.repeat([1.0, 1.0 / model.robot.reach], 3)
@@ -183,11 +189,14 @@ def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int = _E
     z = values_at(model.robot, parameters, frames) / s
     of_robot = np.array([parameter.of_robot for parameter in parameters])
     limit = np.where(of_robot, _MOST_ORDINARY, np.inf)
-    least = np.inf
+    least = before = np.inf
     for _ in range(evaluations):
         data = np.concatenate(evaluate(problem, sigmas, z * s, Split.none(len(z))).triangles)
         miss = float(np.linalg.norm(data[:, -1])) / float(np.sqrt(sum(map(len, sets))))
         least = min(least, miss)
+        if evaluations > _EVALUATIONS and abs(before - miss) < _HARDLY * miss:
+            break
+        before = miss
         priors = np.column_stack([np.eye(len(z)), z])[of_robot]
         rows = np.concatenate([data / max(miss, _NEGLIGIBLE), priors])
         z = np.clip(z - np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=_NEGLIGIBLE)[0], -limit, limit)

@@ -134,7 +134,7 @@ def selection(*words: str) -> Callable[[object], object]:
 
 
 def _not_empty(text: str) -> str:
-    if not text:
+    if not text.strip():
         raise ValueError("is empty.")
     return text
 

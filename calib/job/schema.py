@@ -317,7 +317,7 @@ class LevelSection(_Section):
 
     name: Name
     free: Names = ()
-    measurements: Names | None = None
+    measurements: Annotated[Names, Field(min_length=1)] | None = None
     residual_model: ResidualModelSection | None = None
 
 

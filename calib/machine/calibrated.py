@@ -9,6 +9,7 @@ from calib.foundations.arguments import checked, own_fields, refuse_fields
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import MeasurementError, RobotError
 from calib.foundations.ranges import refuse_no_placement
+from calib.foundations.words import not_calibrated
 from calib.identification.machine import Frames, Layout, Machine
 from calib.machine.residual_model import ResidualModel, shifted
 from calib.machine.tool_motion import tool_jacobian
@@ -91,8 +92,7 @@ class CalibratedMachine:
         if setup is None:
             return self
         if setup not in bases:
-            known = ", ".join(map(repr, bases))
-            raise MeasurementError(f"there is no set-up {setup!r}; the calibrated ones are {known}.")
+            raise MeasurementError(f"{not_calibrated('set-up', setup, bases)}.")
         k, start, end = list(bases).index(setup), self.layout.base, self.layout.tools
         rows = np.arange(self.layout.size)
         bases_first = rows[start:end].reshape(-1, 6)
@@ -234,8 +234,7 @@ class CalibratedMachine:
     def tool_named(self, tool: str) -> str:
         """Return the name of a tool. Raises MeasurementError when there is none of this name."""
         if tool not in self.tools:
-            known = ", ".join(map(repr, self.tools)) or "none"
-            raise MeasurementError(f"there is no tool {tool!r}; the calibrated tools are {known}.")
+            raise MeasurementError(f"{not_calibrated('tool', tool, self.tools)}.")
         return tool
 
     def __repr__(self) -> str:

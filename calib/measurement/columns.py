@@ -59,11 +59,8 @@ def refuse_unknown(
     ``unread``: joints of the URDF that no column tells; ``idle``: such as may have a column that nothing needs.
     ``of_joints``: with what names of columns begin that tell something else of a joint.
     """
+    refuse_joints_like_columns(readings, table.where)
     joints = frozenset(readings)
-    for name in sorted(joints & KNOWN):
-        raise HeaderError(
-            f"{table.where}: the joint {name!r} has the name of a measured column; rename the joint in the URDF."
-        )
     moving = {*joints, *idle}
     known = moving | KNOWN | {f"{what}{name}" for what in of_joints for name in moving}
     for name in table.columns:
@@ -76,6 +73,14 @@ def refuse_unknown(
         if name not in known and name not in _EULER:
             near = nearest(name, sorted(known - table.columns.keys()))
             raise HeaderError(f"{table.where}: column {name!r} is neither a joint nor a known column{near}.")
+
+
+def refuse_joints_like_columns(readings: Iterable[str], where: str) -> None:
+    """Raise MeasurementError for a joint with the name of another column: no reading of the header would tell them."""
+    for name in sorted(KNOWN.intersection(readings)):
+        raise MeasurementError(
+            f"{where}: the joint {name!r} has the name of a measured column; rename the joint in the URDF."
+        )
 
 
 def stacked(table: Table, dimensions: dict[str, Dimension]) -> Array:

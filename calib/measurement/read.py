@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from calib.foundations.arguments import checked
+from calib.measurement.columns import refuse_joints_like_columns
 from calib.measurement.from_table import Joints, Sigma, measurements_from_table
 from calib.measurement.instruments import Camera, LaserTracker
 from calib.measurement.kinds import Kind
@@ -53,6 +54,8 @@ def read_measurements(
 
     Raises MeasurementError, or JobError for an option, with one sentence.
     """
+    # Asked before the header is read, where the column would only appear twice.
+    refuse_joints_like_columns((reading.name for reading in robot.readings), robot.urdf.where)
     return measurements_from_table(
         _table(source, AS_WRITTEN if columns is None else columns),
         robot.readings,

@@ -631,7 +631,7 @@ def test_positions_of_a_table_without_joints(tmp_path: Path) -> None:
         ),
         ({"x [mm]": [0.0]}, "there is no column 'y', 'z' of the targets"),
         ({"x [deg]": [0.0], "y [mm]": [0.0], "z [mm]": [0.0]}, "column 'x': unit 'deg' is not a unit of length"),
-        ({"tool": ["left"]}, "there is no tool 'left'; the calibrated tools are 'tool', 'other'"),
+        ({"tool": ["left"]}, "there is no tool 'left'; the calibrated ones are 'tool', 'other'"),
         (
             {"x [m]": [0.0], "y [m]": [0.0], "z [m]": [0.0], "qw": [2.0], "qx": [0.0], "qy": [0.0], "qz": [0.0]},
             "the quaternion has the norm 2",

@@ -7,23 +7,34 @@ import calib
 from calib.identification.identify import residuals_of
 from calib.identification.initialisation.anchors import anchors_anew
 from calib.identification.initialisation.problem import initial_problem
-from calib.identification.initialisation.target_poses import _centre
+from calib.identification.initialisation.target_poses import centre
 from calib.identification.machine import values_at
+from calib.identification.sanity import signatures
+from calib.identification.targets import Target
 from tests.support import machines
 from tests.support.machines import Array
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+PANDA = ("example:panda_description/urdf/panda.urdf", "panda_hand")
 SIGMA = 2e-5
 TOOL = (0.08, 0.05, 0.25)
 
 
 def lengths(
-    robot: calib.Robot, readings: Array, points: Array, places: Array, target: Array, rng: np.random.Generator
+    robot: calib.Robot,
+    readings: Array,
+    points: Array,
+    places: Array,
+    target: Array,
+    rng: np.random.Generator,
+    offset: float | None = None,
 ) -> calib.Measurements:
     measured = np.linalg.norm(points - places[target], axis=1) + rng.normal(scale=SIGMA, size=len(points))
+    measured += offset or 0.0
     columns: dict[str, object] = {f"{r.name} [rad]": readings[:, k] for k, r in enumerate(robot.readings)}
     columns |= {"length [m]": measured, "target": [f"anchor {t}" for t in target]}
-    return calib.read_measurements(columns, robot, "distance", sigma=SIGMA)
+    named = None if offset is None else "bar"
+    return calib.read_measurements(columns, robot, "distance", sigma=SIGMA, offset=named)
 
 
 def session(anchors: int, each: int) -> tuple[calib.Robot, calib.Measurements, calib.Measurements]:
@@ -80,4 +91,38 @@ def test_points_that_are_nearly_in_a_plane_tell_the_side(thickness: float) -> No
         place = turn @ places[0]
         data = lengths(robot, none, points, place[None], np.zeros(10, dtype=int), rng)
         off = points + rng.normal(scale=1e-3, size=points.shape)
-        assert np.linalg.norm(_centre([(data, off, data.value)]) - place) < 0.05
+        assert np.linalg.norm(centre([(data, off, data.value)]) - place) < 0.05
+
+
+@pytest.mark.parametrize("offset", [None, 0.03])
+def test_known_anchors_show_where_the_base_is(offset: float | None) -> None:
+    """From a base at rest at the origin, lengths lead to other minima, and to mistakes that nobody made."""
+    rng = np.random.default_rng(5)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    for _ in range(3):
+        true, base = arm.moved(rng), machines.anywhere(rng)
+        places = (base @ np.append(rng.normal(size=(4, 3)), np.ones((4, 1)), axis=1).T).T[:, :3]
+        target = np.repeat(np.arange(4), 15)
+        readings = arm.draw(rng, len(target))
+        points = (base @ true.tips(readings) @ machines.pose(TOOL))[:, :3, 3]
+        data = lengths(robot, readings, points, places, target, rng, offset)
+        known = {f"anchor {t}": Target(machines.pose(place)) for t, place in enumerate(places)}
+        model = calib.error_model(robot, offsets="all", placements="all", known=calib.Known(targets=known))
+        frames = initial_problem(model, (data,)).reference
+        away = np.linalg.inv(frames.bases[0]) @ base
+        # As near as a tool of 0.27 m lets it be that is taken for none.
+        assert np.linalg.norm(away[:3, 3]) < 0.6
+        assert np.arccos((np.trace(away[:3, :3]) - 1.0) / 2.0) < 0.6
+        assert signatures(model, [data]) == ()
+
+
+@pytest.mark.parametrize("seed", [0, 2, 10])
+def test_lengths_from_unknown_anchors_are_no_mistake(seed: int) -> None:
+    """They begin far away, as nothing shows the tool."""
+    rng = np.random.default_rng(seed)
+    robot, true = machines.load(*PANDA), machines.arm(*PANDA).moved(rng)
+    places, target = rng.normal(size=(3, 3)), np.repeat(np.arange(3), 40)
+    readings = true.draw(rng, len(target))
+    points = (true.tips(readings) @ machines.pose(TOOL))[:, :3, 3]
+    data = lengths(robot, readings, points, places, target, rng, 0.02)
+    assert signatures(calib.error_model(robot, offsets="all", placements="all"), [data]) == ()

@@ -140,3 +140,26 @@ def test_a_free_tool_begins_where_the_job_says_where_nothing_shows_it(kinds: tup
     else:
         with pytest.raises(JobError, match=r"tools: poses are given, and .* leaves them free"):
             parse_job(tomllib.loads(text), "job.toml")
+
+
+@pytest.mark.parametrize(
+    ("section", "sentence"),
+    [
+        ({"levels": [{"name": "a", "free": ["*"], "measurements": []}]}, "levels[0].measurements: is empty."),
+        ({"levels": [{"name": " ", "free": ["*"]}]}, "levels[0].name: is empty."),
+        (
+            {
+                "robot": {
+                    "urdf": "a.urdf",
+                    "loop": [{"name": "  ", "frames": ["a", "b"], "closes": ["x"], "passive": ["j"]}],
+                }
+            },
+            "robot.loop[0].name: is empty.",
+        ),
+    ],
+)
+def test_an_empty_list_and_blanks_are_no_names(section: dict[str, Any], sentence: str) -> None:
+    """None of the tables would be all of them, and a name of blanks cannot be read in a message."""
+    with pytest.raises(JobError) as caught:
+        parse_job({**EVERYTHING, **section}, "job")
+    assert str(caught.value) == f"job: {sentence}"

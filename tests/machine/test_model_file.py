@@ -69,7 +69,7 @@ def test_prediction_is_the_measured_point(fit: calib.Fit, written: Path) -> None
 
 
 def test_unknown_tool(written: Path) -> None:
-    with pytest.raises(calib.MeasurementError, match=r"no tool 'middle'; the calibrated tools are 'left', 'right'"):
+    with pytest.raises(calib.MeasurementError, match=r"no tool 'middle'; the calibrated ones are 'left', 'right'"):
         calib.load_machine(written).predict(np.zeros((1, 6)), tool="middle")
 
 

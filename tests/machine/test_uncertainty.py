@@ -173,7 +173,7 @@ def test_map_over_the_workspace_tells_how_far_it_is() -> None:
 
 def test_unknown_tools_and_wrong_readings_are_refused() -> None:
     u = machine_of(fitted(offsets=["elbow_joint"], placements="none")[0])
-    with pytest.raises(MeasurementError, match=r"there is no tool 'ball'; the calibrated tools are 'tool'\."):
+    with pytest.raises(MeasurementError, match=r"there is no tool 'ball'; the calibrated one is 'tool'\."):
         tool_uncertainty(u, np.zeros((1, 6)), "ball")
     with pytest.raises(
         MeasurementError, match=r"readings of shape \(1, 5\): needs finite .* \(N, 6\), one row or more\."

@@ -1,6 +1,7 @@
 """Measurements from tables: what each column becomes, and one exact sentence for every refusal."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -258,6 +259,19 @@ def test_a_joint_named_like_a_measured_column_is_refused() -> None:
     assert str(caught.value) == (
         "gantry: the joint 'x' has the name of a measured column; rename the joint in the URDF."
     )
+
+
+def test_a_joint_named_like_a_column_is_told_before_the_column_that_comes_twice(tmp_path: Path) -> None:
+    """To leave one of the two out, as is said of other columns that come twice, would lose what was measured."""
+    urdf = tmp_path / "gantry.urdf"
+    urdf.write_text(
+        '<robot name="gantry"><link name="base"/><link name="tip"/><joint name="x" type="prismatic">'
+        '<parent link="base"/><child link="tip"/><limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    table = tmp_path / "measured.csv"
+    table.write_text("x [m], x [mm], y [mm], z [mm]\n0.1, 100, 0, 0\n")
+    with pytest.raises(MeasurementError, match=r"gantry\.urdf: the joint 'x' has the name of a measured column"):
+        read_measurements(table, load_robot(urdf))
 
 
 def test_a_column_of_a_joint_that_is_not_read_says_so() -> None:

@@ -25,7 +25,7 @@ from calib.identification.initialisation.base_and_tools import (
 )
 from calib.identification.initialisation.carried import Carried
 from calib.identification.initialisation.lenses import with_found_lenses
-from calib.identification.initialisation.target_poses import NEGLIGIBLE, with_targets
+from calib.identification.initialisation.target_poses import NEGLIGIBLE, centre, with_targets
 from calib.identification.machine import Frames, Machine
 from calib.measurement.kinds import Kind
 from calib.measurement.measurements import Measurements, numbered
@@ -36,8 +36,8 @@ from calib.robot.robot import Deviations
 _ENOUGH, _FEW = 10_000, 100
 # Tools and bases are found in turns; a start need not be better.
 _ROUNDS, _CLOSE = 10, 1e-4
-# A base is shown by so many places of sockets.
-_LEAST_PLACES = 3
+# A base is shown by so many places of sockets, anchors or balls, and one of the last two by so many lengths.
+_LEAST_PLACES, _LEAST_LENGTHS = 3, 6
 
 
 class Initialisation(NamedTuple):
@@ -205,7 +205,7 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
             for rows in carried
             if rows.data.kind in ("socket", "pixels")
         ]
-        found = [some for some in found if len(some.tips)]
+        found = [some for some in (*found, _centres(carried, frames, shown, int(s))) if len(some.tips)]
         every = TipObservations(*(np.concatenate(parts) for parts in zip(*found, strict=True))) if found else None
         if every is None or (np.isnan(every.orientation).any() and _places(every) < _LEAST_PLACES):
             if not stands.any() or not _needs_base(carried, int(s)):
@@ -250,6 +250,29 @@ def _as_positions(carried: Carried, frames: Frames, rows: BoolArray) -> TipObser
     poses = [pose if camera.camera_on == "tip" else rigid.inverse(pose) for *_, pose in images]
     placed = frames.targets[data.target[n]] @ np.array(poses).reshape(-1, 4, 4)
     return TipObservations(tips[n], placed[:, :3, 3], placed[:, :3, :3], data.tool[n])
+
+
+def _centres(carried: Sequence[Carried], frames: Frames, shown: BoolArray, setup: int) -> TipObservations:
+    """Return anchors and balls that are ``shown`` (t,) as positions of a tool, put in the base by their lengths."""
+    tips, positions, tools = [np.zeros((0, 4, 4))], [np.zeros((0, 3))], [np.zeros(0, dtype=np.intp)]
+    for t in np.flatnonzero(shown):
+        own = [
+            rows.some((rows.data.target == t) & (rows.data.setup == setup))
+            for rows in carried
+            if rows.data.kind in ("distance", "sphere")
+        ]
+        own = [rows for rows in own if len(rows.tips)]
+        if sum(len(rows.tips) for rows in own) < _LEAST_LENGTHS:
+            continue
+        about = [
+            (rows.data, (rows.tips @ rows.data.placed_by(frames.tools))[:, :3, 3], rows.data.value) for rows in own
+        ]
+        tool = int(own[0].data.tool[0])
+        tips.append(rigid.placement(np.eye(3)[None], (centre(about) - frames.tools[tool, :3, 3])[None]))
+        positions.append(frames.targets[t : t + 1, :3, 3])
+        tools.append(np.array([tool], dtype=np.intp))
+    every = np.concatenate(positions)
+    return TipObservations(np.concatenate(tips), every, np.full((len(every), 3, 3), np.nan), np.concatenate(tools))
 
 
 def initial_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:

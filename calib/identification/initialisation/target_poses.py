@@ -48,7 +48,7 @@ def with_targets(model: ErrorModel, rows: Sequence[Carried], frames: Frames) -> 
             if sights and not sockets:
                 poses[t] = cameras.target_pose(name, sights, frames.tools)
             else:
-                poses[t, :3, 3] = np.concatenate(sockets).mean(axis=0) if sockets else _centre(own)
+                poses[t, :3, 3] = np.concatenate(sockets).mean(axis=0) if sockets else centre(own)
         cameras.refuse_behind(sights, frames.tools, poses[t])
     for k in range(len(scalars)):
         missing = [
@@ -101,7 +101,7 @@ def _plane(x: Array, beside: Array) -> Array:
     return rigid.placement(np.column_stack([axes[0], np.cross(normal, axes[0]), normal]), middle)
 
 
-def _centre(own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
+def centre(own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
     """Return the point at measured distances from points: |x|^2 - l^2 = 2 x c - 2 l o + o^2 - |c|^2, linear.
 
     Points that are nearly in a plane tell badly how far off it the point is, and hardly on which side. So both sides
