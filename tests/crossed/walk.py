@@ -190,8 +190,9 @@ def _same_from_python(walked: Walked, path: Path, found: Mapping[str, Any]) -> N
 
 def compares(walked: Walked, folder: Path) -> None:
     """A calibration has not moved from itself."""
-    said = run("compare", walked.out, walked.out, "--json")
+    said = run("compare", walked.out, walked.out, "-o", folder / "both.html", "--json")
     assert (said.code, said.err) == (0, ""), said.err
+    assert (folder / "both.html").stat().st_size > 1000
     found = json.loads(said.out)
     assert not found["moved"]
     assert found["tip"]["max"] < 1e-6, found["tip"]
@@ -203,9 +204,9 @@ def is_uncertain(walked: Walked, folder: Path) -> None:
     tool = case.draft.tools[0]
     for setup in case.setups[-1:]:
         of = ("--setup", setup) if len(case.setups) > 1 else ()
-        out = ("-o", folder / "map.csv")
-        said = run("uncertainty", walked.out, "--samples", "20", "--tool", tool, *of, *out, "--json")
-        assert (said.code, said.err) == (0, ""), said.err
+        for more in (("-o", folder / "map.csv"), ("--whole",)):
+            said = run("uncertainty", walked.out, "--samples", "20", "--tool", tool, *of, *more, "--json")
+            assert (said.code, said.err) == (0, ""), said.err
     u = walked.model
     assert u.uncertainty is not None
     q = case.draw(5)
@@ -254,7 +255,7 @@ def is_commanded(walked: Walked, folder: Path) -> None:
 
 def is_exported(walked: Walked, folder: Path) -> None:
     """Every controller's file, or a sentence that it has no place for this machine."""
-    for to in ("ur", "offsets", "dh", "ros"):
+    for to in ("ur", "offsets", "dh", "ros", "xacro"):
         said = run("export", walked.out, "--to", to, "-o", folder / f"export.{to}", "--json")
         if said.code:
             assert allowed(walked.case, f"export {to}", said)
@@ -265,6 +266,9 @@ def is_exported(walked: Walked, folder: Path) -> None:
     calib.write_urdf(walked.outcome.fit, folder / "calibrated.urdf")
     scene = ("--scene", folder / "cell.html")
     said = run("cell", walked.out, walked.out, "-o", folder / "cell.urdf", *scene, "--prefix", "b_", "--quiet")
+    assert said == (0, "", ""), said.err
+    placed = ("--placed-in", "instrument", "--quiet")
+    said = run("cell", walked.out, walked.out, "-o", folder / "placed.urdf", *placed)
     assert said == (0, "", ""), said.err
 
 
@@ -289,12 +293,16 @@ def performs(walked: Walked, folder: Path) -> None:
 
 def is_studied(walked: Walked, folder: Path) -> None:
     """What parameters do, and which poses would tell them."""
-    said = run("sensitivity", walked.case.path, "--errors", walked.out, "--json")
+    drawn = ("--plot", folder / "sensitivity.svg")
+    said = run("sensitivity", walked.case.path, "--errors", walked.out, *drawn, "--json")
     assert (said.code, said.err) == (0, ""), said.err
-    out = folder / "poses.csv"
-    said = run("plan", walked.case.path, "-n", "6", "--candidates", "25", "-o", out, "--json")
-    assert (said.code, said.err) == (0, ""), said.err
-    assert len(out.read_text(encoding="utf-8").splitlines()) == 7
+    write(folder / "done.csv", walked.case.joints(walked.case.draw(8)))
+    tables = ("--measured", folder / "done.csv", "--working", folder / "done.csv", "--target", "0.1 mm")
+    for more in ((), ("--criterion", "D"), ("--criterion", "A", "--observes", "pose"), tables):
+        out = folder / f"poses_{len(more)}.csv"
+        said = run("plan", walked.case.path, "-n", "6", "--candidates", "25", "-o", out, *more, "--json")
+        assert (said.code, said.err) == (0, ""), said.err
+        assert len(out.read_text(encoding="utf-8").splitlines()) == 7
 
 
 def is_seen(walked: Walked, folder: Path) -> None:
