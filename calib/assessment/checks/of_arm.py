@@ -17,8 +17,9 @@ from calib.measurement.checks import Finding
 
 # What a joint that did not move leaves, in rad or m.
 REST = 1e-4
-# Shares by which all links, or one, may differ in length from the URDF, and a length that any may; standard errors.
-SCALE, LINK, LINK_LENGTH, SURE = 0.04, 0.04, 0.025, 6.0
+# Shares by which all links, or one, may differ in length from the URDF, and a length that any may; standard errors. An
+# instrument whose scale is off looks like links that all are.
+SCALE, LINK, LINK_LENGTH, SURE = 0.015, 0.04, 0.025, 6.0
 # In m, rms: a common share that moves the tool by less is how links of any arm err. Of sound arms with 0.5 mm in each
 # length it was 0.6 mm at the most; 5 % more length moved the tool of the smallest arm that was tried by 3.8 mm.
 SCALED = 2e-3
@@ -81,7 +82,10 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
             link = f"{fit.robot.chain[k].name!r} differs by {by / MM:+.0f} mm"
     scale, sigma, moves = _common_scale(fit, parts, scaled, moved)
     if abs(scale) > max(SCALE, SURE * sigma) and abs(scale) * moves > SCALED:
-        said = f"All links seem {100.0 * scale:+.2g} % longer than in the URDF: is it the URDF of this robot?"
+        said = (
+            f"All links seem {100.0 * scale:+.2g} % longer than in the URDF: is it the URDF of this robot, and are the "
+            "instrument's lengths true?"
+        )
         return Check.of("lengths", abs(scale), SCALE, False, said)
     if worst > 1.0:
         said = f"The distance to joint {link} from the URDF: is it the URDF of this robot?"
