@@ -15,7 +15,7 @@ from typing import Any
 from calib_start import loading
 
 with loading():
-    from calib.app.folder import JOB, MADE, PHOTOGRAPHS, RESULTS, gather
+    from calib.app.folder import JOB, MADE, PHOTOGRAPHS, RESULTS, gather, refuse_other_files
     from calib.foundations.errors import LITTLE_MEMORY, CalibError, JobError, OutputError
     from calib.foundations.files import read_bytes, sentences, write_atomically
     from calib.foundations.words import shown
@@ -143,10 +143,12 @@ def _as_texts(names: Sequence[str]) -> list[str]:
 
 
 def _made(name: str, text: str) -> str:
+    made = f"{MADE}/{name}"
+    refuse_other_files(Path.cwd(), [made])
     with sentences(MADE, OutputError, "cannot be made"):
         Path(MADE).mkdir(mode=0o700, exist_ok=True)
-    write_atomically(Path(MADE, name), text)
-    return f"{MADE}/{name}"
+    write_atomically(Path(made), text)
+    return made
 
 
 def _photographed(asked: Mapping[str, Any], tables: Sequence[str], boards: Sequence[str], say: Steps) -> dict[str, Any]:

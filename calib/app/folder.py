@@ -1,12 +1,14 @@
 """The private folder of a page: what may be dropped into it, under which names, and all of it as one file.
 
-``robot/`` in it is made anew at every look: the URDF, and its meshes where it says that they are.
+``robot/`` in it is made anew at every look: the URDF, and its meshes where it says that they are. A person may put
+files of his own into a folder that he has named: what was neither dropped nor made here is not replaced or removed.
 """
 
 import contextlib
 import errno
 import fcntl
 import io
+import json
 import os
 import re
 import shutil
@@ -14,13 +16,13 @@ import stat
 import tempfile
 import zipfile
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path, PurePosixPath
 from typing import IO, Literal
 
 from calib.foundations.errors import OutputError
-from calib.foundations.files import DAMAGED, sentences, write_atomically
+from calib.foundations.files import DAMAGED, LARGEST_JSON, read_inside, sentences, write_atomically
 from calib.foundations.words import shown
 from calib.measurement.formats.images import ENDINGS
 
@@ -28,6 +30,8 @@ JOB, RESULTS, MADE, PHOTOGRAPHS, ROBOT = "calibration.toml", "results", "tables"
 # What was dropped and said, for a page that is served again; no dropped file can have a name like this.
 SESSION = ".session.json"
 _MESHES = "meshes"  # as they were dropped
+# The names of files that were made here, of those that were dropped.
+_OURS = ".made.json"
 # Locked while a page is served from the folder; the folder itself is locked where results are written.
 _SERVED = ".served"
 # A table of a million rows has some 100 MB; photographs come in hundreds.
@@ -239,33 +243,71 @@ def gather(folder: Path, robot: str, uris: Sequence[str], meshes: Sequence[str])
 
     Returns the path of the URDF there, and the uris for which there is no mesh: that is the one whose path ends most
     alike, its file's name at least; of several that end alike, none can be told from the others. Raises OutputError
-    where nothing can be written.
+    where nothing can be written, or a person's own file is in the way.
     """
-    own = folder / ROBOT
-    shutil.rmtree(own, ignore_errors=True)
-    with sentences(f"{ROBOT}/{robot}", OutputError, "cannot be written"):
-        own.mkdir(mode=0o700)
-        shutil.copyfile(folder / robot, own / robot)
     dropped = [PurePosixPath(name).parts for name in meshes]
-    lost = []
+    lost: list[str] = []
+    found: dict[str, tuple[str, PurePosixPath]] = {}
     every = tuple(dict.fromkeys(uris))
     # Each is compared with all that were dropped; more shapes are not drawn either.
     for uri in every[:_MOST_FILES]:
         rest = uri.partition("://")[2] if "://" in uri else uri
         parts = [part for part in rest.split("/") if part not in ("", ".", "..")]
         best = _likest([plain_name(part) for part in parts], dropped)
-        place = own.joinpath(*parts)
+        if best is None or uri.startswith(("file:", "/")) or "\0" in uri or len(parts) > _DEEPEST:
+            lost.append(uri)
+        else:
+            found[uri] = "/".join((ROBOT, *parts)), best
+    urdf = f"{ROBOT}/{robot}"
+    _remove_made(folder)
+    refuse_other_files(folder, {urdf, *(name for name, _ in found.values())})
+    with sentences(urdf, OutputError, "cannot be written"):
+        (folder / ROBOT).mkdir(mode=0o700, exist_ok=True)
+        shutil.copyfile(folder / robot, folder / urdf)
+    for uri, (name, best) in found.items():
+        place = folder / name
         try:
-            if best is None or uri.startswith(("file:", "/")) or "\0" in uri or len(parts) > _DEEPEST:
-                raise FileNotFoundError(uri)
             place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if not place.exists():
+            if not place.exists():  # as where two uris are one path
                 shutil.copyfile(folder / _MESHES / best, place)
         except OSError as e:
             if e.errno in _UNWRITABLE:
                 raise OutputError(f"{ROBOT}: meshes cannot be written ({e.strerror}).") from e
             lost.append(uri)
-    return f"{ROBOT}/{robot}", [*lost, *every[_MOST_FILES:]]
+    return urdf, [*lost, *every[_MOST_FILES:]]
+
+
+def refuse_other_files(folder: Path, names: Collection[str]) -> None:
+    """Raise OutputError where files that are about to be made would replace others that were not made here.
+
+    Else keep their names: such files are replaced and removed from now on.
+    """
+    made = _made_here(folder)
+    for name in names:
+        if name not in made and os.path.lexists(folder / name):
+            raise OutputError(f"{shown(name)}: was not made by this page, and is not replaced; move it away.")
+    write_atomically(folder / _OURS, json.dumps(sorted(made.union(names))))
+
+
+def _remove_made(folder: Path) -> None:
+    """Remove what :func:`gather` has made, and the folders that are then empty."""
+    gone = {name for name in _made_here(folder) if name.startswith(f"{ROBOT}/")}
+    for name in gone:
+        with contextlib.suppress(OSError):
+            (folder / name).unlink()
+    above = {inside for name in gone for inside in PurePosixPath(name).parents if inside.parts}
+    for inside in sorted(above, key=lambda path: len(path.parts), reverse=True):
+        with contextlib.suppress(OSError):
+            (folder / inside).rmdir()
+
+
+def _made_here(folder: Path) -> frozenset[str]:
+    """Return the names of files that were made here; none where no list can be read."""
+    try:
+        names = json.loads(read_inside(folder, _OURS, OutputError, LARGEST_JSON))
+        return frozenset(name for name in names if name.startswith((f"{ROBOT}/", f"{MADE}/")) and ".." not in name)
+    except DAMAGED:
+        return frozenset()
 
 
 def _likest(parts: Sequence[str], dropped: Sequence[tuple[str, ...]]) -> PurePosixPath | None:
@@ -282,8 +324,8 @@ def _likest(parts: Sequence[str], dropped: Sequence[tuple[str, ...]]) -> PurePos
 def take(folder: Path, name: str, data: bytes, there: Mapping[str, int]) -> str:
     """Write a dropped file under a plain name, in the place of one of that name, and return this name.
 
-    ``there``: sizes of those that were dropped before. Raises OutputError where it is none that can be used, or the
-    folder has enough.
+    ``there``: sizes of those that were dropped before. Raises OutputError where it is none that can be used, the folder
+    has enough, or a file of that name is there that was not dropped.
     """
     plain = name_here(name)
     place = _place(folder, plain)
@@ -292,10 +334,19 @@ def take(folder: Path, name: str, data: bytes, there: Mapping[str, int]) -> str:
         raise OutputError(f"{shown(plain)}: is one file more than the {_MOST_FILES} that are allowed.")
     if len(data) > LARGEST_FILE or len(data) + sum(others) > _LARGEST_SUM:
         raise OutputError(f"{shown(plain)}: {TOO_LARGE}")
+    if plain not in (*there, JOB) and os.path.lexists(place) and not _holds(place, data):
+        raise OutputError(f"{shown(plain)}: is in the folder, but was not dropped on this page; move it away.")
     with sentences(shown(plain), OutputError, "cannot be kept"):  # such as for a file where a folder is to be
         place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     write_atomically(place, data)
     return plain
+
+
+def _holds(place: Path, data: bytes) -> bool:
+    """Return whether a file holds just this, as of a page that was killed before it could write down what it has."""
+    with contextlib.suppress(OutputError):
+        return read_inside(place.parent, place.name, OutputError, len(data)) == data
+    return False
 
 
 def remove(folder: Path, name: str) -> None:
@@ -333,7 +384,7 @@ def as_zip(folder: Path) -> IO[bytes]:
                 for place in (folder, *(folder / name for name in (MADE, PHOTOGRAPHS, ROBOT, RESULTS))):
                     inside = place.rglob("*") if place.name == ROBOT else place.iterdir()
                     for path in sorted(inside) if place.is_dir() else ():
-                        if path.is_file() and not path.is_symlink() and path.name not in (SESSION, _SERVED):
+                        if path.is_file() and not path.is_symlink() and path.name not in (SESSION, _OURS, _SERVED):
                             into.write(path, Path("calibration") / path.relative_to(folder))
             archive.seek(0)
         stack.pop_all()  # whoever asked closes it

@@ -22,6 +22,7 @@ from calib.app.folder import (
     name_here,
     plain_name,
     private_folder,
+    refuse_other_files,
     take,
     unpacked,
 )
@@ -227,6 +228,26 @@ def test_meshes_are_put_where_the_robot_says_that_they_are(tmp_path: Path) -> No
     assert not (tmp_path.parent / "tool.stl").exists()
     gather(tmp_path, "arm.urdf", [], dropped)
     assert [path.name for path in (tmp_path / "robot").iterdir()] == ["arm.urdf"]
+
+
+def test_files_that_a_person_has_put_into_the_folder_stay(tmp_path: Path) -> None:
+    """They were removed with ``robot/`` at every look, and replaced by what was dropped or made under their names."""
+    for name in ("arm.urdf", "mine.csv", "robot/notes.txt", "robot/m/own.stl", "tables/poses.csv"):
+        (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
+        (tmp_path / name).write_text("mine")
+    take(tmp_path, "a.stl", b"solid", {})
+    take(tmp_path, "arm.urdf", b"mine", {})  # the same again, as after a page that was killed
+    for known in (False, True):  # as a page begins, and as it goes on
+        assert gather(tmp_path, "arm.urdf", ["package://m/a.stl"], ["a.stl"]) == ("robot/arm.urdf", [])
+        with pytest.raises(OutputError, match=r"'mine\.csv': is in the folder, but was not dropped"):
+            take(tmp_path, "mine.csv", b"other", {"arm.urdf": 4} if known else {})
+        with pytest.raises(OutputError, match=r"own\.stl': was not made by this page"):
+            gather(tmp_path, "arm.urdf", ["package://m/own.stl"], ["own.stl"])
+        with pytest.raises(OutputError, match=r"poses\.csv': was not made by this page"):
+            refuse_other_files(tmp_path, ["tables/poses.csv"])
+    assert {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*.*") if p.read_text() == "mine"} == {
+        *("arm.urdf", "mine.csv", "robot/notes.txt", "robot/m/own.stl", "tables/poses.csv"),
+    }
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
