@@ -44,6 +44,8 @@ TOO_LARGE = (
 
 # How deep folders of a robot's description are, and how many files a person may drop with it that are of no use.
 _DEEPEST, _MOST_OFFERED = 12, 5000
+# Of longer paths no file is of use: every folder above one is looked at, and each costs as much as the path is long.
+_LONGEST_PATH = 1000
 # Nothing more can be written then, whatever file it is.
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO)
 # Others are unpacked whole, however little is asked for.
@@ -139,11 +141,12 @@ def chosen(paths: Sequence[str], *, packed: bool = False) -> dict[str, str]:
 
     What lies in no folder is left to :func:`take`, which says what it is not. In the folder of a package, which
     ``package.xml`` marks, the robot and its meshes are of use; a picture beside a mesh is its texture. Tables of one
-    name in several folders have these in their names. Raises OutputError where there are too many.
+    name in several folders have these in their names. Paths of more than 1000 characters are left out. Raises
+    OutputError where there are too many.
     """
     if len(paths) > _MOST_OFFERED:
         raise OutputError(f"{len(paths)} files are too many; allowed are {_MOST_OFFERED}.")
-    plain = {path: PurePosixPath(path.replace("\\", "/")) for path in paths}
+    plain = {path: PurePosixPath(path.replace("\\", "/")) for path in paths if len(path) <= _LONGEST_PATH}
     packages = {path.parent for path in plain.values() if path.name == "package.xml"}
     beside = {path.parent for path in plain.values() if _known(path) == "mesh"}
     found = {}

@@ -169,6 +169,13 @@ def unpacked_of(data: bytes) -> dict[str, bytes]:
     return {kept: contents for kept, _, contents in unpacked(data, "arm.zip", {})}
 
 
+def test_paths_without_end_are_left_out() -> None:
+    """To look at the folders above a file took a time that grows with the square of their number."""
+    endless = "a/" * 600 + "x.csv"
+    assert chosen([endless, "t.csv"]) == {"t.csv": "t.csv"}
+    assert chosen([endless], packed=True) == {}
+
+
 def test_an_archive_is_unpacked_within_bounds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     inside = {
         "../../arm.urdf": b"<robot/>",
