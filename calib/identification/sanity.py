@@ -13,7 +13,7 @@ absorbs is no mistake. Two mistakes at once are not searched; no single one expl
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -360,6 +360,13 @@ def _of_readings(readings: Sequence[Reading], *, units: bool) -> Iterator[Mistak
             swap = ones.copy()
             swap[[i, j]] = swap[[j, i]]
             yield Mistake("swapped-joints", f"the columns {a!r} and {b!r} are swapped", _read(swap=swap))
+    for i, (a, b) in enumerate(pairwise(reading.name for reading in readings)):
+        for sign in (1.0, -1.0) if readings[i].dimension == readings[i + 1].dimension == "angle" else ():
+            # An elbow that is read against the floor, a wrist that is driven through another one.
+            follows = ones.copy()
+            follows[i, i + 1] = sign
+            says = f"{a!r} and {b!r} are coupled: the joint of {b!r} stands at {b} {'+' if sign > 0.0 else '-'} {a}"
+            yield Mistake("coupled-joints", says, _read(swap=follows))
     for reading, one in zip(readings, ones, strict=True):
         for degrees in ("+90", "-90", "180") if reading.dimension == "angle" else ():
             says = f"{reading.name!r} is read from another zero and needs {degrees} deg"

@@ -250,7 +250,7 @@ def in_urdf_sentences(
 
     ``figures``: metrics of the machine by use, when and quantity; ``alone``: of its URDF, by use and quantity.
     """
-    lacks = "A URDF holds neither closed loops nor joint terms"
+    lacks = "A URDF holds no closed loops, no couplings of a job and no joint terms"
     if not alone:
         return (f"{lacks}: calibrated.urdf alone needs other joint readings. model.json holds the whole machine.",)
     use = "validation" if "validation" in figures else "identification"

@@ -277,6 +277,12 @@ def _drivers(
         return dict(multiples), constant
     if joint.name in couplings:
         coupling = couplings[joint.name]
+        if joint.name in coupling.drivers:
+            raise RobotError(
+                f"{document.where}:{joint.line}: the coupling of joint {joint.name!r} has {joint.name!r} itself among "
+                "its drivers; put one more joint where it is into the URDF, which follows the others, and leave it its "
+                "own reading."
+            )
         drivers, offset = dict(coupling.drivers), coupling.offset
     elif joint.mimic is not None:
         drivers, offset = {joint.mimic.joint: joint.mimic.multiplier}, joint.mimic.offset

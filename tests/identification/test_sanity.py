@@ -135,6 +135,15 @@ def test_swapped_joints(arm: str, observes: str) -> None:
         assert f"it looks as if the columns {a!r} and {b!r} are swapped:" in sentence
 
 
+@pytest.mark.parametrize("sign", ["+", "-"])
+@pytest.mark.parametrize("arm", JOINTS)
+def test_coupled_joints(arm: str, sign: str) -> None:
+    lab, a, b = Lab(arm, "position"), *JOINTS[arm][1:3]
+    # As Fanuc's J3, which is read against the floor whatever J2 does.
+    spoil = joints([a, b], lambda q: np.column_stack([q[:, 0], q[:, 1] - float(f"{sign}1") * q[:, 0]]))
+    assert f"{a!r} and {b!r} are coupled: the joint of {b!r} stands at {b} {sign} {a}:" in lab.sentence(spoil)
+
+
 @pytest.mark.parametrize("observes", ["position", "pose"])
 @pytest.mark.parametrize("arm", JOINTS)
 def test_degrees_and_radians(arm: str, observes: str) -> None:

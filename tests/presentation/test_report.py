@@ -17,7 +17,7 @@ from calib.presentation.report.document import Picture, Prose, Report, Row, Sect
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.report.sections import correlations
-from calib.presentation.sheets import signed
+from calib.presentation.sheets import in_urdf_sentences, signed
 from calib.presentation.tables import plain
 from calib.results.calibration import Calibration
 from calib.results.folder import result
@@ -317,7 +317,13 @@ def test_levels_and_loops_are_told() -> None:
     (levels,) = [section for section in report.sections if section.key == "levels"]
     (sheet,) = [block for block in levels.blocks if isinstance(block, Sheet)]
     assert [row.cells[0] for row in sheet.rows] == ["base", "joint", "kinematic", "residual"]
-    assert "A URDF holds neither closed loops nor joint terms" in render_page(report)
+    assert "A URDF holds no closed loops, no couplings of a job and no joint terms" in render_page(report)
+
+
+def test_a_urdf_that_lacks_a_coupling_alone_is_told_so() -> None:
+    (said,) = in_urdf_sentences({}, {}, converged=True)
+    assert "no couplings of a job" in said
+    assert "calibrated.urdf alone needs other joint readings" in said
 
 
 def test_importing_the_report_loads_no_template_engine() -> None:

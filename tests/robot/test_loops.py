@@ -344,6 +344,11 @@ def test_a_coupling_with_two_drivers_is_the_counter_rotating_link() -> None:
             [Coupling("roll", {"cancel": 1.0}), Coupling("cancel", {"roll": 1.0})],
             "loop.urdf: the couplings of joint 'cancel' run in a circle.",
         ),
+        (
+            [Coupling("roll", {"roll": 1.0, "cancel": 1.0})],
+            "loop.urdf:1: the coupling of joint 'roll' has 'roll' itself among its drivers; put one more joint where "
+            "it is into the URDF, which follows the others, and leave it its own reading.",
+        ),
     ],
 )
 def test_wrong_couplings_are_refused(couplings: list[Coupling], sentence: str) -> None:
