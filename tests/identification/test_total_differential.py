@@ -221,6 +221,6 @@ def test_values_that_stopped_early_are_as_sure_as_they_are_far_from_rest() -> No
     assert np.all(own.sigmas**2 >= own.off**2)
     # What a row says of the others counts by noise alone.
     assert np.all(own.spread_alone.variances < own.sigmas**2)
-    (said,) = (found for found in calib.assess(own).findings if found.code == "not-at-rest")
-    assert "standard deviations of its noise before" in said.sentence
-    assert not [found for found in calib.assess(at_rest).findings if found.code == "not-at-rest"]
+    (said,) = (found for found in calib.assess(own).findings if found.code == "off-least-squares")
+    assert "standard deviations of its noise off the least-squares" in said.sentence
+    assert not [found for found in calib.assess(at_rest).findings if found.code == "off-least-squares"]
