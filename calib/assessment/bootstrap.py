@@ -35,7 +35,7 @@ class Bootstrap:
     """Repeated fits. ``values`` (B, p) of the fit's parameters; ``positions`` (B, N, 3) of a tool in m.
 
     Angles of base and tools are counted from where the fit has them. ``failed``: repetitions that had too few different
-    poses to be solved.
+    poses to be solved, or to place a tool, a target or a set-up.
     """
 
     __repr__ = brief
@@ -84,7 +84,7 @@ def bootstrap(
     where = np.asarray(readings, dtype=np.float64)
     rng = np.random.default_rng(seed)
     poses = [pose_groups(data) for data in fit.measurements]
-    seen = {name for data in fit.measurements for name in data.seen_targets}
+    seen = _seen(fit, fit.measurements)
     free = [escape(parameter.name) for parameter in fit.parameters]
     values, positions, failed = [], [], 0
     for done in range(repetitions):
@@ -94,14 +94,14 @@ def bootstrap(
             together = tuple(own and own.drawn(*of) for own, of in zip(fit.together, drawn, strict=False))
         else:
             sets, together = _with_other_residuals(fit, rng), ()
-        if {name for data in sets for name in data.seen_targets} != seen:  # nothing says where the others are
+        if _seen(fit, sets) != seen:  # nothing says where the others are
             failed += 1
             progress(done + 1, repetitions)
             continue
         # A minimal set was chosen once and for all: what it does not hold is not free here.
         try:
             again = identify_alike(fit, sets, free, start=fit, together=together)
-        except IdentificationError:
+        except (IdentificationError, MeasurementError):  # of what is seen too few rows may be left to place it
             failed += 1
         else:
             machine = again.machine
@@ -118,6 +118,17 @@ def pose_groups(data: Measurements) -> tuple[IntArray, ...]:
     """Return the rows of every pose: those of one ``group``, of the same readings, or of one stretch of a stream."""
     group = row_groups([data])
     return tuple(np.flatnonzero(group == k) for k in range(int(group.max(initial=-1)) + 1))
+
+
+def _seen(fit: Fit, sets: Sequence[Measurements]) -> set[tuple[str, str]]:
+    """Return kind and name of all targets, and of tools and set-ups where they were found, of which there are rows."""
+    free = {parameter.kind for parameter in fit.parameters}
+    found = {("target", name) for data in sets for name in data.seen_targets}
+    if "tool" in free:
+        found |= {("tool", data.tools[k]) for data in sets for k in np.unique(data.tool)}
+    if "base" in free:
+        found |= {("base", data.setups[k]) for data in sets for k in np.unique(data.setup)}
+    return found
 
 
 def _drawn(groups: Sequence[IntArray], rng: np.random.Generator) -> tuple[IntArray, IntArray]:

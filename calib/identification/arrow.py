@@ -359,6 +359,11 @@ class Covariance:
     follow: Array
     root: Array
 
+    @classmethod
+    def whole(cls, covariance: Array) -> "Covariance":
+        """Return that of parameters which are all common, of their covariance (p, p)."""
+        return cls(Split.none(len(covariance)), covariance, np.zeros((0, 0, len(covariance))), np.zeros((0, 0, 0)))
+
     def of(self, parameters: IntArray | Sequence[int] | None = None) -> Array:
         """Return the covariance (k, k) of some parameters, by number; of all where there are none given."""
         chosen = np.arange(self.split.size) if parameters is None else np.asarray(parameters, dtype=np.intp)

@@ -51,6 +51,8 @@ class Fit:
     ``memories`` and ``repeats``: how rows with times, and rows of one pose, err together, which the covariance
     includes; ``covariance_alone`` (p, p): what it would be if all rows erred independently. ``together``: of every set,
     how rows of a photograph err together, by which they are weighed; empty where none do.
+    ``off`` (p,): by how much values that were found in another way are off the least-squares solution, in SI units; the
+    covariance includes it.
     """
 
     model: ErrorModel
@@ -82,6 +84,7 @@ class Fit:
     memories: tuple[Memory, ...] = ()
     repeats: tuple[Repeats, ...] = ()
     together: tuple[Together | None, ...] = ()
+    off: Array | None = None
 
     @property
     def singular_values(self) -> Array:

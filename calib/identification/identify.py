@@ -14,7 +14,7 @@ from calib.foundations.linear import one_thread
 from calib.foundations.ranges import RANGES
 from calib.foundations.words import counted, refuse_other
 from calib.identification import identifiability, weights
-from calib.identification.arrow import Arrow
+from calib.identification.arrow import Arrow, Covariance
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit, NullSpacePolicy
 from calib.identification.initialisation.anchors import anchors_anew
@@ -470,7 +470,8 @@ def at_clocks(fit: Fit, measurements: Sequence[Measurements]) -> tuple[Measureme
 def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
     """Return the fit with other values (p,) of its parameters, found in another way, and their ``machine``.
 
-    Noise, covariance and what the data determine are those of these values.
+    Noise, covariance and what the data determine are those of these values. The covariance includes by how much they
+    are off the least-squares solution: a search that stops early, or rounds, is off by more than the noise.
     """
     frames = machine.frames
     problem = Problem(
@@ -481,20 +482,26 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
         found = solution_at(problem, x)
     after = residuals(fit.model.robot, fit.measurements, machine)
     noise = _noise(problem, found, after)
+    sigmas = weights.sigmas_of(problem, found.variances, after)
+    spread, memories, repeats = with_memory(problem, found.x, sigmas, after, found.spread)
+    assert found.off is not None, "values found in another way are off"
     return replace(
         fit,
         values=read_only(values),
-        spread=found.spread,
-        spread_alone=found.spread,
-        memories=(),
+        # Of one split, by which parts of both are asked for.
+        spread=Covariance.whole(spread.of() + np.outer(found.off, found.off)),
+        spread_alone=Covariance.whole(found.spread.of()),
+        memories=memories,
+        repeats=repeats,
         rank=found.directions.rank,
         numerical_rank=found.directions.numerical_rank,
         spectrum=found.spectrum,
         unidentifiable=read_only_view(found.unidentifiable),
         null_basis=read_only(found.null_basis),
-        noise=_by_poses(problem, noise, fit.repeats),
+        noise=_by_poses(problem, noise, repeats),
         noise_by_rows=noise,
         machine=machine,
         residuals=tuple(read_only(r) for r in after),
         narrowed=found.narrowed,
+        off=read_only(found.off),
     )

@@ -60,7 +60,8 @@ class Solution(NamedTuple):
     left out, and ``spectrum``: how well; ``with_priors``: the same of data and stated priors. ``start``: the data's
     rows at the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every component.
     ``step``: the last one, in parameter scales. ``narrowed``: by how much weak priors were narrower than is usual, for
-    the robot at least. ``freed``: whether parameters that have a wider prior for that needed it.
+    the robot at least. ``freed``: whether parameters that have a wider prior for that needed it. ``off`` (p,): by how
+    much x is off the minimum where it was found in another way, in SI units.
     """
 
     x: Array
@@ -76,6 +77,7 @@ class Solution(NamedTuple):
     converged: bool
     narrowed: float = 1.0
     freed: bool = False
+    off: Array | None = None
 
     @property
     def null_basis(self) -> Array:
@@ -519,13 +521,17 @@ def _accelerated(path: Sequence[_Passed], prior: _Prior) -> Array:
 
 
 def solution_at(problem: LeastSquares, x: Array) -> Solution:
-    """Return what the data tell at x (p,), which was found in another way, with the noise that it leaves."""
+    """Return what the data tell at x (p,), which was found in another way, with the noise that it leaves.
+
+    By how much x is off the minimum is a full step from there.
+    """
     s = scales(problem.parameters)
     search = _Search(problem, _Evaluator(problem, s), _Prior.of(problem, x / s), (None,) * len(problem.components))
     noise = search.beginning()
     evaluation = search.evaluator(x / s, noise.sigmas)
     here = search.noise(x / s, evaluation, noise, sought=False)
-    return _solution(search, x / s, evaluation, here, evaluation)
+    off = -s * _Point.of(x / s, evaluation, noise, here).full
+    return _solution(search, x / s, evaluation, here, evaluation)._replace(off=off)
 
 
 class Sought(NamedTuple):

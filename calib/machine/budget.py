@@ -128,12 +128,14 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     widths = likely_widths(parameters, solved.J / sigma[:, None], data[:, -1] / sigma, z)
     unseen = np.hstack([solved.from_relations, solved.from_priors * (hold * widths)])
     bias = from_data @ data[:, p : p + m] * sizes[taught.group]
+    off = np.zeros(len(every)) if fit.off is None else np.append(fit.off, np.zeros(len(fit.held)))
+    off = off[split.common] / scales(parameters)
     return ErrorsByCause(
         parameters,
         at,
         _short(np.hstack([through * seen, bias[:, waves.many :]])),
         _short(unseen),
-        _short(through * np.sqrt(1.0 - seen**2)),
+        _short(np.hstack([through * np.sqrt(1.0 - seen**2), off[:, None]])),
         bias[:, : waves.many],
         waves._replace(width=read_only(waves.width * sizes[:pairs].reshape(waves.width.shape))),
         *_by_component(levels, noise),

@@ -238,7 +238,7 @@ def assess(
     stopped = () if trace is None or trace.reason == "below the limit" else (_not_stopped(trace),)
     findings = looks_wrong(fit.model, own) if findings is None else findings
     told = any(finding.code == "not-held-out" for finding in findings)
-    findings = (*findings, *([] if told else _not_held_out(own, validation)))
+    findings = (*findings, *([] if told else _not_held_out(own, validation)), *_off_least_squares(fit))
     found = outliers(fit, files={table.where: name for name, table in zip(given, own, strict=False)})
     moved = tables_with_own_base(fit.model, machine, sets)
     judged_fit = verdict(fit, machine, sets, found, findings, moved)
@@ -272,6 +272,26 @@ def _not_held_out(own: Sequence[Measurements], validation: Sequence[Measurements
             and np.array_equal(table.value, other.value)
             and (table.position is None or np.array_equal(table.position, np.asarray(other.position)))
             for other in own
+        )
+    ]
+
+
+def _off_least_squares(fit: Fit) -> list[Finding]:
+    """Find values that another way than least squares has left farther off than noise puts them."""
+    if fit.off is None:
+        return []
+    noise = np.sqrt(fit.spread_alone.variances)
+    shares = np.divide(np.abs(fit.off), noise, out=np.zeros_like(noise), where=~fit.unidentifiable & (noise > 0.0))
+    k = int(np.argmax(shares))
+    if shares[k] < 1.0:
+        return []
+    return [
+        Finding.warning(
+            "off-least-squares",
+            f"The total differential leaves {fit.parameters[k].name!r} {shares[k]:.2g} standard deviations of its "
+            "noise off the least-squares solution: what looks wrong in the residuals may come from that, and the "
+            "stated uncertainty includes it. A smaller solver.stop and a finer solver.rounding leave less, and "
+            'solver.kind = "least_squares" leaves nothing.',
         )
     ]
 

@@ -84,6 +84,35 @@ def test_rows_of_one_pose_stay_together() -> None:
     assert sorted(rows.tolist() for rows in pose_groups(named)) == [[0, 3, 4], [1, 2, 5]]
 
 
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_repetition_that_does_not_place_a_set_up_has_failed(beside: bool) -> None:
+    """Its base would stay where the fit has it, as if that were known; lengths beside the positions do not place it."""
+    rng = np.random.default_rng(12)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    true = Machine(arm, anywhere(rng), {"tool": pose((0.05, 0, 0.1))})
+    q = arm.draw(rng, 36)
+    data = true.measure(robot, q, rng=rng, sigma=1e-4)
+    right = np.arange(36) >= 30
+    names = ("left", "right")
+    sets = [
+        replace(
+            data,
+            setup=right.astype(np.intp),
+            setups=names,
+            group=tuple("right" if own else str(k) for k, own in enumerate(right)),
+        )
+    ]
+    if beside:
+        columns: dict[str, object] = {f"{r.name} [rad]": q[:, k] for k, r in enumerate(robot.readings)}
+        columns["length [m]"] = np.linalg.norm(true.see(q)[:, :3, 3] - 2.0, axis=1)
+        lengths = calib.read_measurements(columns | {"target": ["anchor"] * 36}, robot, "distance", sigma=1e-4)
+        sets.append(replace(lengths, setup=(np.arange(36) % 2).astype(np.intp), setups=names))
+    fit = calib.identify(calib.error_model(robot, offsets=["elbow_joint"], tool="position"), sets)
+    found = bootstrap(fit, q[:2], 8, seed=1)
+    assert 0 < found.failed < 7
+    assert len(found.values) == 8 - found.failed
+
+
 def test_wrong_wishes_are_refused() -> None:
     fit, arm = fit_of(20)
     readings = arm.draw(np.random.default_rng(0), 2)

@@ -322,8 +322,10 @@ def is_doubted(walked: Walked, folder: Path) -> None:
     fit = walked.outcome.fit
     calib.advice(fit)
     q, tool = walked.case.draw(3), walked.case.draft.tools[0]
-    found = calib.judging.bootstrap(fit, q, 2, kind="poses", tool=tool)
-    assert found.failed < 2 and found.values.shape[1] == len(fit.parameters)
+    # Of the few stretches of a stream some draws hold no row of a tool or of a place.
+    repetitions = 10 if walked.case.draft.motion else 2
+    found = calib.judging.bootstrap(fit, q, repetitions, kind="poses", tool=tool)
+    assert len(found.values) >= 2 and found.values.shape[1] == len(fit.parameters)
     if all(data.position is not None for data in fit.measurements):
         assert calib.judging.bootstrap(fit, q, 2, kind="residuals", tool=tool).failed == 0
 

@@ -5,6 +5,7 @@ import pytest
 import scipy
 
 import calib
+from calib.identification.identify import with_values
 from calib.identification.repeats import beyond_alone, repeated
 from calib.machine.of_fit import machine_of
 from calib.machine.tool_uncertainty import tool_uncertainty
@@ -156,6 +157,15 @@ def test_gears_that_wobble_make_the_sigmas_of_repeated_poses_larger() -> None:
     # By which rows are weighed has not changed: what is not repeated is as before, to the bit.
     once = fitted(measured(4, 60, 1, waves=4e-4)[0])
     assert once.noise == once.noise_by_rows
+
+
+def test_values_found_in_another_way_err_together_as_well() -> None:
+    fit = fitted(measured(4, 16, 5, waves=4e-4)[0])
+    again = with_values(fit, fit.values, fit.machine)
+    (one,), (other,) = fit.repeats, again.repeats
+    assert (other.alone, other.common) == pytest.approx((one.alone, one.common), rel=1e-3)
+    known = ~fit.unidentifiable
+    assert again.sigmas[known] == pytest.approx(fit.sigmas[known], rel=0.01)
 
 
 def test_a_path_is_cut_into_pieces_as_wide_as_a_pose() -> None:

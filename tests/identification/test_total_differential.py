@@ -192,3 +192,35 @@ def test_a_fit_with_its_values_states_their_own_noise() -> None:
     assert noise.total == pytest.approx(np.sqrt(np.sum(left**2) / (left.size - 6)), rel=0.05)
     assert noise.total > 10.0 * fit.noise[0].total
     assert np.all(own.sigmas > 10.0 * fit.sigmas)
+
+
+def test_values_that_stopped_early_are_as_sure_as_they_are_far_from_rest() -> None:
+    lab = Lab(40, noise=1e-6)
+    base = {"base": "pose", "tool": "fixed"}
+    model = lab.model(offsets=list(lab.true.arm.ranges)[1:], **base, base_pose=None)
+    fit, rest, early = (
+        calib.identify(model, lab.data),
+        total_differential(model, lab.data, stop=0.0),
+        total_differential(model, lab.data, stop=1e-3),
+    )
+    assert early.reason == "below the limit"
+    at_rest, own = (with_values(fit, trace.values, trace.machine) for trace in (rest, early))
+    assert own.off is not None
+    assert at_rest.off is not None
+    # Angles of a base that is found are turns of where the search began: joint offsets compare.
+    offsets = [k for k, parameter in enumerate(fit.parameters) if parameter.kind == "offset"]
+    assert own.off[offsets] == pytest.approx((early.values - rest.values)[offsets], rel=0.05, abs=1e-7)
+    assert np.max(np.abs(own.off) / fit.sigmas) > 5.0
+    assert np.max(np.abs(at_rest.off) / fit.sigmas) < 0.01
+    q = lab.true.arm.draw(np.random.default_rng(1), 100)
+    truth = lab.true.see(q)[:, :3, 3]
+    for one in (at_rest, own):
+        known = calib.machine_of(one)
+        inside = calib.judging.tool_uncertainty(known, q).inside(known.predict(q)[:, :3, 3] - truth)
+        assert np.mean(inside) > 0.9
+    assert np.all(own.sigmas**2 >= own.off**2)
+    # What a row says of the others counts by noise alone.
+    assert np.all(own.spread_alone.variances < own.sigmas**2)
+    (said,) = (found for found in calib.assess(own).findings if found.code == "off-least-squares")
+    assert "standard deviations of its noise off the least-squares" in said.sentence
+    assert not [found for found in calib.assess(at_rest).findings if found.code == "off-least-squares"]
