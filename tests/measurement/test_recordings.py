@@ -229,6 +229,14 @@ def test_a_log_of_rtde_has_time_and_joints(tmp_path: Path) -> None:
     np.testing.assert_allclose(numbers(sheet)[2], [100.016, 2.0, 2.1, 2.2, 2.3, 2.4, 2.5, *[9.0] * 6])
 
 
+def test_a_short_log_of_rtde_whose_last_row_is_cut_is_told_so(tmp_path: Path) -> None:
+    path = tmp_path / "robot_data.csv"
+    titles = ["timestamp", *(f"actual_q_{k}" for k in range(6))]
+    path.write_text(" ".join(titles) + "\n1.0 1 2 3 4 5 6\n1.1 1 2 3 4 5 6\n1.2 1 2\n")
+    with pytest.raises(MeasurementError, match=r"robot_data.csv:4: .* 7 cells .* 3"):
+        read_sheet(path)
+
+
 def test_an_export_of_motive_has_its_rigid_body(tmp_path: Path) -> None:
     path = tmp_path / "take.csv"
     path.write_text(MOTIVE)
