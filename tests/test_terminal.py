@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from rich.console import Group
 
+from calib.foundations.errors import OutputError
 from calib.job import example
 from calib.job.calibrate import steps_after_loading
 from calib.job.inputs import load
@@ -49,6 +50,20 @@ def test_demo_shows_the_whole_path_and_leaves_it_to_be_walked_again(folder: Path
     assert len((folder / "a b/corrected.csv").read_text(encoding="utf-8").splitlines()) >= 21
     again = run("calibrate", "a b/calibration.toml", "-o", "again", "--json")
     assert json.loads(again.out)["metrics"] == result["metrics"]
+
+
+def test_the_example_is_taken_up_where_a_run_was_ended_and_nowhere_else(tmp_path: Path) -> None:
+    from calib.job.example import copy_example
+
+    demo = tmp_path / "demo"
+    paths = copy_example(demo)
+    before = tree(demo)
+    assert copy_example(demo) == paths
+    assert tree(demo) == before
+    (demo / "test.csv").write_text("mine")
+    with pytest.raises(OutputError, match="demo: already exists; choose another name"):
+        copy_example(demo)
+    assert (demo / "test.csv").read_text() == "mine"
 
 
 def test_demo_never_writes_where_something_is(folder: Path) -> None:

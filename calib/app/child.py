@@ -22,10 +22,10 @@ with loading():
     from calib.job.calibrate import calibrated
     from calib.job.inputs import STEPS_OF_LOADING, load
     from calib.job.looking import NO_FINDINGS, looked_at
-    from calib.job.photographs import import_photographs
+    from calib.job.photographs import import_photographs, read_photographed_board
     from calib.job.proposal import Proposal
     from calib.job.propose import propose
-    from calib.job.read import read_board, read_job, read_toml
+    from calib.job.read import read_job, read_toml
     from calib.measurement.formats.sheet import read_sheet, stacked
     from calib.measurement.raw import raw_table, split_title
     from calib.presentation.console import Steps
@@ -157,7 +157,7 @@ def _photographed(asked: Mapping[str, Any], tables: Sequence[str], boards: Seque
             "Photographs need one board.toml, which says what is printed on the board, and one table of the joints, or "
             "of the flange's pose, with the column image."
         )
-    print_ = read_board(Path(boards[0]))
+    print_ = read_photographed_board(Path(boards[0]))
     answers, robot = asked["answers"], asked["robot"]
     found = import_photographs(
         Path(PHOTOGRAPHS),

@@ -39,6 +39,8 @@ SIGNIFICANCE = 0.01
 # Places that differ from one, or from a line, by less than a millionth of the reach.
 _NEARLY_IN_LINE = 1e-6
 # What a residual model gets wrong is common to its neighbours; of more rows so many are looked at together.
+# In m or rad: nothing is left of the square of less.
+_LEAST_NOISE = 1e-100
 _TOGETHER = 300
 # Entries of twists of length one that differ by rounding alone.
 _SAME_AXIS = 1e-9
@@ -197,7 +199,13 @@ def _sigma(uncertainty: Uncertainty, data: Measurements) -> Array:
                 f"{data.where}: the calibration was made without any {quantity}; verify by the kind of data it was "
                 "made from."
             )
-        parts.append(_with_model(data.sigma[:, 3 * k : 3 * k + 3], level))
+        part = _with_model(data.sigma[:, 3 * k : 3 * k + 3], level)
+        if not (part > _LEAST_NOISE).all():
+            raise MeasurementError(
+                f"{data.where}: neither the rows nor uncertainty.json of the calibration state any noise of a "
+                f"{quantity}; give the standard deviation of the instrument."
+            )
+        parts.append(part)
     return np.hstack(parts)
 
 

@@ -46,6 +46,10 @@ def main() -> None:
         if error.errno not in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT) or error.filename is not None:
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # What was misspelt stays so, also where the sentence about it finds no room.
+        if (misspelt := getattr(error.__context__, "exit_code", None)) is not None:
+            os.dup2(sys.stdout.fileno(), sys.stderr.fileno())
+            sys.exit(misspelt)
         _say(f"standard output: cannot be written ({error.strerror}).")
         sys.exit(BAD_INPUT)
     except SystemExit as ending:

@@ -159,8 +159,7 @@ def _images(folders: Sequence[Path], out: Path, robot: str | None, said: OfImage
         from calib.foundations.errors import JobError
         from calib.foundations.files import refuse_taken, write_together
         from calib.foundations.words import shown
-        from calib.job.photographs import import_photographs
-        from calib.job.read import read_board
+        from calib.job.photographs import import_photographs, read_photographed_board
         from calib.job.toml_text import seen_from
         from calib.presentation.contact_sheet import Shot, contact_sheet
     if len(folders) != 1 or said.board is None or said.readings is None:
@@ -169,7 +168,7 @@ def _images(folders: Sequence[Path], out: Path, robot: str | None, said: OfImage
         raise JobError(f"--camera-on: {shown(said.camera_on)} is not tip or floor.")
     page, job, urdf = (out.with_name(f"{out.stem}{end}") for end in ("_photographs.html", ".toml", "_flange.urdf"))
     refuse_taken(page, job, urdf)
-    print_ = read_board(said.board)
+    print_ = read_photographed_board(said.board)
     with telling.progress(0, alike=True) as say:
         found = import_photographs(
             folders[0], print_, said.readings, urdf=robot, tip=said.tip, orientation=said.orientation, progress=say

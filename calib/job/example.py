@@ -2,11 +2,12 @@
 
 import csv
 import itertools
+from collections.abc import Mapping
 from pathlib import Path
 
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
-from calib.foundations.files import refuse_taken
+from calib.foundations.files import read_bytes, refuse_taken
 from calib.foundations.folders import real_folder, refuse_unwritable, write_folder
 
 JOB = "calibration.toml"
@@ -32,15 +33,29 @@ def example_folder() -> Path:
 def copy_example(folder: Path) -> tuple[Path, Path, Path]:
     """Make a folder with the example's files and with targets; return its job, its targets and where results belong.
 
-    Raises OutputError when there is anything of that name already, or no folder can be made there.
+    A folder that is this already, and nothing more, as a run that was ended leaves it, is taken as it is.
+
+    Raises OutputError when there is anything else of that name already, or no folder can be made there.
     """
-    refuse_taken(folder, with_parents=True)
-    meant = real_folder(folder)
-    refuse_unwritable(meant)
     source = example_folder()
-    files: dict[str, bytes | str] = {name: (source / name).read_bytes() for name in _FILES}
-    write_folder(meant, {**files, TARGETS: _targets((source / "test.csv").read_text(encoding="utf-8"))})
+    files = {name: (source / name).read_bytes() for name in _FILES}
+    files[TARGETS] = _targets((source / "test.csv").read_text(encoding="utf-8")).encode()
+    if not _holds(folder, files):
+        refuse_taken(folder, with_parents=True)
+        meant = real_folder(folder)
+        refuse_unwritable(meant)
+        write_folder(meant, files)
     return folder / JOB, folder / TARGETS, folder / RESULTS
+
+
+def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
+    """Return whether a folder has these files, and nothing else."""
+    try:
+        if folder.is_symlink() or {entry.name for entry in folder.iterdir()} != files.keys():
+            return False
+        return all(read_bytes(folder / name, OutputError) == contents for name, contents in files.items())
+    except (OSError, ValueError, OutputError):
+        return False
 
 
 def _targets(table: str) -> str:

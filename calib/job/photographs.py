@@ -18,6 +18,7 @@ from calib.foundations.files import sentences
 from calib.foundations.units import MM
 from calib.foundations.words import listed, shown
 from calib.job.chains import chains, whole_chains
+from calib.job.read import read_board
 from calib.job.toml_text import toml_text
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.columns import POSITION, orientations, stacked
@@ -28,6 +29,7 @@ from calib.measurement.formats.images import (
     NOTHING_SEEN,
     Detection,
     detector,
+    marker_bits,
     read_image,
     thumbnail,
 )
@@ -154,6 +156,18 @@ class Imported:
         root = self.robot.urdf.root
         base = [] if self.robot.base == root else [f"base = {toml_text(self.robot.base)}"]
         return [f"tip = {toml_text(self.robot.tip)}", *base]
+
+
+def read_photographed_board(path: Path) -> Print:
+    """Read what is printed on a board, whose markers OpenCV has to know. Raises JobError as :func:`read_board` does."""
+    print_ = read_board(path)
+    if print_.dictionary:
+        try:
+            marker_bits(print_)
+        except JobError as e:
+            ours, begin = str(e), "board: "
+            raise JobError(f"{path}: {ours.removeprefix(begin)}" if ours.startswith(begin) else ours) from e
+    return print_
 
 
 def import_photographs(

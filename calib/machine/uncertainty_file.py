@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes
+from calib.foundations.json_text import NotJsonError, parse_json
 from calib.identification.machine import Layout
 from calib.machine.uncertainty import CAUSES, NoiseLevel, Uncertainty, Waves
 from calib.robot.robot import Robot
@@ -127,7 +128,11 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
     Raises OutputError when the file does not belong to it.
     """
     try:
-        found = UncertaintyFile.model_validate_json(read_bytes(path, OutputError, LARGEST_JSON))
+        source = read_bytes(path, OutputError, LARGEST_JSON)
+        parse_json(source)  # pydantic takes the last of two values under one name
+        found = UncertaintyFile.model_validate_json(source)
+    except NotJsonError as e:
+        raise OutputError(f"{path}: {e}.") from e
     except ValidationError as e:
         place = ".".join(map(str, e.errors(include_url=False)[0]["loc"]))[:100]
         raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at {place or 'its start'}.") from e

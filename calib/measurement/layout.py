@@ -105,9 +105,11 @@ def _separator(lines: Sequence[str]) -> str:
     if shares[best] > 0.5 and shares[best] > 1.0 / len(lines):
         return best
     if not any(mark in line for line in lines for mark in _SEPARATORS):
-        count, times = Counter(len(line.split()) for line in lines).most_common(1)[0]
+        # The last row of a log may have been cut off.
+        whole = lines[:-1] if len(lines) > 2 else lines
+        count, times = Counter(len(line.split()) for line in whole).most_common(1)[0]
         bracket = any(word.startswith("[") for line in lines for word in line.split())
-        if count > 1 and times > 0.8 * len(lines) and not bracket and any(_is_data(x.split(), " ") for x in lines):
+        if count > 1 and times > 0.8 * len(whole) and not bracket and any(_is_data(x.split(), " ") for x in lines):
             return " "
     if "\t" in lines[0] and "," not in lines[0] and ";" not in lines[0]:
         return "\t"

@@ -50,8 +50,13 @@ def figure_bytes(figure: "Figure", path: Path) -> bytes:
     kind = path.suffix.lower().removeprefix(".")
     if kind not in _FORMATS:
         raise OutputError(f"{path}: a plot ends in {', '.join(f'.{name}' for name in _FORMATS)}.")
+    import matplotlib as mpl  # noqa: PLC0415 - the figure has loaded it
+
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=kind, dpi=150)
+    # The same figure is the same file: without the date, and without numbers drawn by chance.
+    date = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+    with mpl.rc_context({"svg.hashsalt": "calib"}):
+        figure.savefig(buffer, format=kind, dpi=150, metadata=date)
     return buffer.getvalue()
 
 

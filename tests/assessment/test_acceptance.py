@@ -208,6 +208,13 @@ def test_what_cannot_be_verified_is_said() -> None:
     other = replace(seen(true, 5, 3), tools=("ball",))
     with pytest.raises(MeasurementError, match="the tool 'ball' was not identified; known are 'tool'"):
         verify(u, other)
+    known = u.known_uncertainty
+    assert known.position is not None
+    none = replace(u, uncertainty=replace(known, position=replace(known.position, model=0.0, total=0.0)))
+    unstated = seen(true, 5, 3)
+    unstated = replace(unstated, sigma=np.zeros_like(unstated.sigma))
+    with pytest.raises(MeasurementError, match=r"state any noise of a position; give the standard deviation"):
+        verify(none, unstated)
 
 
 # ---- comparison

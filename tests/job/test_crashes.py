@@ -30,6 +30,13 @@ def test_standard_output_on_a_full_disk(folder: Path) -> None:
     assert (done.returncode, done.stderr) == (1, said)
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_what_is_misspelt_is_so_also_on_a_full_disk(folder: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([sys.executable, "-W", "error", "-c", MAIN, "nonsense"], stderr=full, check=False)
+    assert done.returncode == 2
+
+
 def test_a_file_that_may_not_grow(folder: Path) -> None:
     assert run("calibrate", JOB, "-o", "out", "-q").code == 0
     before = tree(folder)

@@ -211,7 +211,7 @@ def two_left(folder: Path) -> None:
         (spoil("readings.csv", ("image,", "picture,")), "there is no column 'image'; the columns are 'picture'"),
         (spoil("readings.csv", ("image_001", "image_000")), "the image 'image_000.png' has two rows"),
         (spoil("board.toml", ("charuco", "circles")), "kind: 'circles' is not allowed"),
-        (spoil("board.toml", ("DICT_4X4_50", "DICT_4")), "dictionary: 'DICT_4' is none of OpenCV's"),
+        (spoil("board.toml", ("DICT_4X4_50", "DICT_4")), "board.toml: dictionary: 'DICT_4' is none of OpenCV's"),
         (spoil("board.toml", ("[7, 5]", "[7, 5.5]")), "squares: [7, 5.5] is not a list of two whole numbers"),
         (spoil("board.toml", ("30 mm", "30 m")), "square: '30 m' is out of range; allowed is 0.0001 to 10 m"),
         (spoil("board.toml", ("22 mm", "30 mm")), "has no white around it in a square of 0.03 m"),

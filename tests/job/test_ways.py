@@ -79,6 +79,9 @@ def test_sensitivity_and_performance(tmp_path: Path) -> None:
     by_name = {record["name"]: record for record in json.loads(said.out)["parameters"]}
     assert by_name["base.x"]["rms"] == pytest.approx(1.0)
     assert plot.read_text().startswith("<?xml")
+    again = tmp_path / "again.svg"
+    assert run("sensitivity", CASE / "calibration.toml", "--plot", again, "-q").code == 0
+    assert again.read_bytes() == plot.read_bytes()
     assert run("sensitivity", CASE / "calibration.toml", "--plot", tmp_path / "plot.txt").code == 1
     plot.write_text("mine")
     said = run("sensitivity", CASE / "calibration.toml", "--plot", plot)

@@ -252,6 +252,14 @@ def test_what_is_called_as_the_file_and_is_none_is_refused(tmp_path: Path) -> No
         calib.load_machine(folder)
 
 
+def test_a_value_that_comes_twice_is_refused(tmp_path: Path) -> None:
+    folder = written(fitted(offsets=["elbow_joint"], placements="none")[0], tmp_path)
+    path = folder / "uncertainty.json"
+    path.write_text(path.read_text().replace('"position":', '"position": null, "position":', 1))
+    with pytest.raises(OutputError, match=r"uncertainty.json: .* it has 'position' twice in one object\.$"):
+        calib.load_machine(folder)
+
+
 @pytest.mark.parametrize(
     ("change", "why"),
     [

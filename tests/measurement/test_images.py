@@ -154,6 +154,21 @@ def test_an_image_of_many_pixels_and_few_bytes_is_refused(tmp_path: Path) -> Non
     assert read_image(file).shape == (4400, 4400)
 
 
+def test_twelve_bits_in_sixteen_are_as_bright_as_eight(tmp_path: Path) -> None:
+    grey = np.add.outer(np.arange(32) * 4, np.arange(48)).astype(np.uint8) + np.uint8(84)
+    for bits in (10, 12, 16):
+        file = tmp_path / f"{bits}.png"
+        file.write_bytes(cv2.imencode(".png", grey.astype(np.uint16) << (bits - 8))[1].tobytes())
+        np.testing.assert_array_equal(read_image(file), grey)
+
+
+def test_pixels_that_are_no_whole_numbers_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.tiff"
+    file.write_bytes(cv2.imencode(".tiff", np.ones((32, 48), dtype=np.float32))[1].tobytes())
+    with pytest.raises(MeasurementError, match=r"a\.tiff: has pixels of the kind float32; whole numbers of 8 or 16"):
+        read_image(file)
+
+
 def _turned(grey: np.ndarray, ending: str, turn: int) -> bytes:
     """Return an image whose file asks a viewer for a turn, EXIF's orientation, as cameras do that feel which is up."""
     folder = b"II*\0" + struct.pack("<IHHHIHH", 8, 1, 274, 3, 1, turn, 0) + b"\0\0\0\0"

@@ -63,6 +63,11 @@ def test_a_camera_matrix_by_columns_with_skew_or_scaled_is_refused(tmp_path: Pat
         read(tmp_path, ROS.replace("[900.5, 0, 640.25, 0, 901.5, 360.75, 0, 0, 1]", matrix))
 
 
+def test_a_number_with_a_zero_in_front_is_decimal(tmp_path: Path) -> None:
+    assert read(tmp_path, ROS.replace("[900.5,", "[0900,"))[0].fx == 900.0
+    assert read(tmp_path, ROS.replace("[900.5,", "[0240,"))[0].fx == 240.0
+
+
 def test_kalibr(tmp_path: Path) -> None:
     assert read(tmp_path, KALIBR) == (LENS._replace(k3=0.0), (1280, 720))
 
@@ -93,6 +98,7 @@ def test_opencv(tmp_path: Path) -> None:
         (ROS.replace("plumb_bob", "equidistant"), "'equidistant' is not one of plumb_bob"),
         (ROS.replace("0, 0, 1]", "0, 1]"), "the camera matrix has 8 numbers"),
         (ROS.replace("-0.0002", "x"), "the distortion is not a list of numbers"),
+        (ROS.replace("-0.0002", "10:00"), "the distortion is not a list of numbers"),
         (KALIBR.replace("radtan", "equidistant"), "cam0 is of the models 'pinhole' and 'equidistant'"),
         (KALIBR.replace("900.5, ", ""), "intrinsics has 3 numbers"),
         (KALIBR.replace("0.0001,", "0.0001, 0, 0, 1,"), "the distortion has 7 numbers; read are k1, k2, p1, p2"),

@@ -160,6 +160,51 @@ def test_other_topics_and_damaged_files_are_refused(recorded: Path, tmp_path: Pa
         topics(tmp_path / "none.bag")
 
 
+def of_joints(path: Path, topic: str, told: list[tuple[list[str], list[float]]]) -> Path:
+    """A recording of one topic of joints, with these names and positions."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    T, kind = store.types, "sensor_msgs/msg/JointState"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection(topic, kind, typestore=store)
+        for k, (names, position) in enumerate(told):
+            head = T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](1_700_000_000, 1_000_000 * k), "")
+            message = T[kind](head, names, np.array(position), np.zeros(0), np.zeros(0))
+            writer.write(connection, BEGIN + 1_000_000 * k, store.serialize_cdr(message, kind))
+    return path
+
+
+def test_joints_in_another_order_are_the_same_joints(tmp_path: Path) -> None:
+    sheet = read_topic(of_joints(tmp_path / "r", "/j", [(["b", "a"], [2.0, 1.0]), (["a", "b"], [3.0, 4.0])]), "/j")
+    assert sheet.titles == ("time [s]", "b [rad]", "a [rad]")
+    np.testing.assert_allclose(numbers(sheet)[:, 1:], [[2.0, 1.0], [4.0, 3.0]])
+
+
+def test_a_topic_may_have_a_colon(tmp_path: Path) -> None:
+    assert len(read_topic(of_joints(tmp_path / "r", "/arm:j", [(["a"], [1.0])]), "/arm:j").rows) == 1
+
+
+def test_numbers_that_are_none_are_left_out_and_said(tmp_path: Path) -> None:
+    sheet = read_topic(of_joints(tmp_path / "r", "/j", [(["a"], [1.0]), (["a"], [np.nan]), (["a"], [np.inf])]), "/j")
+    assert len(sheet.rows) == 1
+    assert sheet.remarks[-1] == "2 messages with a number that is none (nan or inf) left out"
+    with pytest.raises(MeasurementError, match=r"r2: '/j': every message has a number that is none \(nan or inf\)\.$"):
+        read_topic(of_joints(tmp_path / "r2", "/j", [(["a"], [np.nan])]), "/j")
+
+
+@pytest.mark.parametrize("names", [["a", "a"], ["a", " "]])
+def test_joints_need_names_of_their_own(names: list[str], tmp_path: Path) -> None:
+    with pytest.raises(MeasurementError, match=r"r: '/j': has the joints .* each needs a name of its own\.$"):
+        read_topic(of_joints(tmp_path / "r", "/j", [(names, [1.0, 2.0])]), "/j")
+
+
+def test_a_recording_of_nothing(tmp_path: Path) -> None:
+    with pytest.raises(MeasurementError, match=r"r: has no messages that can be read\.$"):
+        read_topic(of_joints(tmp_path / "r", "/j", []), "/j")
+
+
 def test_the_command_lists_and_writes(tmp_path: Path) -> None:
     path = recording(tmp_path, "mcap")
     said = run("import", path, "--json")
@@ -182,6 +227,14 @@ def test_a_log_of_rtde_has_time_and_joints(tmp_path: Path) -> None:
     assert sheet.titles[:2] == ("time [s]", "shoulder_pan_joint [rad]")
     assert sheet.titles[7] == "commanded_shoulder_pan_joint [rad]"
     np.testing.assert_allclose(numbers(sheet)[2], [100.016, 2.0, 2.1, 2.2, 2.3, 2.4, 2.5, *[9.0] * 6])
+
+
+def test_a_short_log_of_rtde_whose_last_row_is_cut_is_told_so(tmp_path: Path) -> None:
+    path = tmp_path / "robot_data.csv"
+    titles = ["timestamp", *(f"actual_q_{k}" for k in range(6))]
+    path.write_text(" ".join(titles) + "\n1.0 1 2 3 4 5 6\n1.1 1 2 3 4 5 6\n1.2 1 2\n")
+    with pytest.raises(MeasurementError, match=r"robot_data.csv:4: .* 7 cells .* 3"):
+        read_sheet(path)
 
 
 def test_an_export_of_motive_has_its_rigid_body(tmp_path: Path) -> None:

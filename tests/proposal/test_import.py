@@ -428,6 +428,22 @@ def test_files_that_cannot_stand_below_each_other(folder: Path, second: str | No
     assert both.code == 2
 
 
+def test_cells_of_a_workbook_that_go_back_are_refused(folder: Path) -> None:
+    """openpyxl leaves them out without a word."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (("x [mm]", "y [mm]", "z [mm]"), (1, 2, 3)):
+        book.active.append(row)
+    book.save(folder / "whole.xlsx")
+    with zipfile.ZipFile(folder / "whole.xlsx") as whole, zipfile.ZipFile(folder / "a.xlsx", "w") as archive:
+        for name in whole.namelist():
+            archive.writestr(name, whole.read(name).replace(b'r="C2"', b'r="A2"'))
+    said = run("import", "a.xlsx", "-o", "out.csv")
+    assert said.code == 1
+    assert "a cell of column A stands behind one of column B in row 2; save the workbook again." in said.err
+    assert run("import", "whole.xlsx", "-o", "out.csv").code == 0
+
+
 @pytest.mark.parametrize(
     ("number", "says"),
     [

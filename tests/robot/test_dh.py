@@ -301,3 +301,11 @@ def test_a_wrong_table_is_refused_in_a_sentence(change: dict[str, object], sente
 def test_joint_names_that_make_no_urdf_are_refused() -> None:
     with pytest.raises(RobotError, match="flange_mount"):
         dh.dh_to_urdf(DhTable("standard", (DhRow("flange_mount", "revolute", 0, 0, 0, 0),)))
+
+
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_a_table_with_other_separators_is_told_that_commas_are_needed(mark: str, tmp_path: Path) -> None:
+    text = mark.join(["a [mm]", "d [mm]", "alpha [deg]", "theta [deg]"]) + "\n" + mark.join(["0,5", "1", "90", "0"])
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(RobotError, match=r"t.csv:1: cells of a DH table are separated by commas, and not by"):
+        dh.read_dh(tmp_path / "t.csv")

@@ -2,6 +2,7 @@
 
 import io
 import re
+import sys
 import tokenize
 import zipfile
 from collections import Counter
@@ -84,4 +85,5 @@ def _cells(values: npt.NDArray[np.generic]) -> list[str]:
     cells: Iterable[str] = map(str, values.tolist())
     if values.dtype.kind == "U":
         cells = (" ".join(cell.split())[:200] for cell in cells)
-    return ["" if cell == "nan" else cell for cell in cells]
+    # Small archives hold large arrays of few values: each is one text, however often it comes.
+    return ["" if cell == "nan" else sys.intern(cell) for cell in cells]

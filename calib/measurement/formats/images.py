@@ -112,7 +112,7 @@ def read_image(file: Path) -> Array:
     """
     data = read_bytes(file, MeasurementError, LARGEST_IMAGE)
     cv2 = opencv()
-    way = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    way = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION | cv2.IMREAD_ANYDEPTH
     try:
         with heard() as said:
             image = cv2.imdecode(np.frombuffer(_unturned(data), np.uint8), way) if data else None
@@ -133,6 +133,16 @@ def read_image(file: Path) -> Array:
             f"{file}: has {width} x {height} pixels in {len(data)} bytes, as no photograph has; of more than "
             f"{_FEW_PIXELS // 1_000_000} million, {_PIXELS_OF_A_BYTE} for a byte are allowed."
         )
+    return _of_8_bits(image, file)
+
+
+def _of_8_bits(image: Any, file: Path) -> Array:
+    """Return grey values of 8 bits: of more, the highest that are used, as cameras write 12 bits in 16."""
+    if image.dtype == np.uint16:
+        bits = max(int(image.max()).bit_length(), 8)
+        image = (image >> (bits - 8)).astype(np.uint8)
+    elif image.dtype != np.uint8:
+        raise MeasurementError(f"{file}: has pixels of the kind {image.dtype}; whole numbers of 8 or 16 bits are read.")
     return np.asarray(image)
 
 

@@ -1,6 +1,5 @@
 """Lenses as others write them: OpenCV's FileStorage, ROS's camera_info, Kalibr's camchain, all of them YAML."""
 
-import contextlib
 import math
 import re
 from collections.abc import Mapping
@@ -10,15 +9,15 @@ from typing import Any
 from calib.foundations.csv_text import text_of
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
+from calib.foundations.units import NUMBER
 from calib.foundations.words import refuse_other
-from calib.measurement.formats.yaml_events import read_yaml
+from calib.measurement.formats.yaml_events import read_yaml, written
 from calib.measurement.lens import BENT, RATIONAL, Lens
 
 _LARGEST = 1_000_000
 # What OpenCV writes and YAML does not know: its own header, and the tag of its matrices.
 _HEADER, _TAG = re.compile(r"\A%YAML[: ]1\.\d\s*"), re.compile(r"!!opencv-matrix")
-# YAML 1.1 takes 1e-05, as C++ writes it, for a text.
-_NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]{1,3}")
+_WHOLE = re.compile(r"\+?[0-9]{1,9}")
 _MATRIX = ("camera_matrix", "cameraMatrix", "CameraMatrix", "K", "k")
 _BENT = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D", "d")
 _MODELS = {"plumb_bob": BENT, "rational_polynomial": (*BENT, *RATIONAL), "radtan": BENT[:4]}
@@ -63,10 +62,16 @@ def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
 def _yaml(path: Path) -> Mapping[str, Any]:
     text = text_of(read_bytes(path, JobError, _LARGEST), str(path), JobError).replace("\r\n", "\n")
     text = _TAG.sub("", _HEADER.sub("", text))
-    found = read_yaml(text, str(path), JobError, lambda yaml, text, loader: yaml.load(text, loader))
+    found = read_yaml(text, str(path), JobError, _document)
     if not isinstance(found, Mapping):
         raise JobError(f"{path}: holds no lens: it is no mapping of names.")
     return found
+
+
+def _document(yaml: Any, text: str, loader: Any) -> Any:
+    """Return the document with its scalars as they are written: to YAML 1.1, 0240 would be 160 and 10:00 600."""
+    node = yaml.compose(text, loader)
+    return None if node is None else written(node)
 
 
 def _numbers(path: Path, what: str, value: Any) -> list[float]:
@@ -81,10 +86,7 @@ def _numbers(path: Path, what: str, value: Any) -> list[float]:
 
 def _number(value: Any) -> float:
     """Return a number of YAML, NaN for what is none."""
-    if type(value) in (int, float) or (isinstance(value, str) and _NUMBER.fullmatch(value)):
-        with contextlib.suppress(OverflowError):  # a whole number of hundreds of digits
-            return float(value)
-    return math.nan
+    return float(value) if isinstance(value, str) and NUMBER.fullmatch(value) else math.nan
 
 
 def _bent(path: Path, values: list[float], names: tuple[str, ...]) -> dict[str, float]:
@@ -95,5 +97,6 @@ def _bent(path: Path, values: list[float], names: tuple[str, ...]) -> dict[str, 
 
 
 def _size(value: Any) -> tuple[int, int] | None:
-    whole = isinstance(value, list) and len(value) == 2 and all(type(one) is int and one > 0 for one in value)
-    return (value[0], value[1]) if whole else None
+    sides = value if isinstance(value, list) and len(value) == 2 else []
+    whole = [int(one) for one in sides if isinstance(one, str) and _WHOLE.fullmatch(one)]
+    return (whole[0], whole[1]) if len(whole) == 2 and min(whole) > 0 else None

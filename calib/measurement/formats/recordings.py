@@ -4,6 +4,7 @@ Needs the package rosbags, which is pure Python and asks for no ROS. Times are t
 those at which they were recorded, in s since the recording began: tables of one recording have one zero.
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -76,6 +77,8 @@ def read_topic(path: Path, name: str) -> Sheet:
             told.append((_NANO * (_stamp(message, time) - zero), kind, message))
     if not told:
         known = [topic.name for topic in topics(path)]
+        if not known:
+            raise MeasurementError(f"{path}: has no messages that can be read.")
         close = near(name, known, most=1)
         raise MeasurementError(
             f"{path}: there is no topic {shown(name)}{f'; near is {close[0]!r}' if close else ''}; there are "
@@ -84,20 +87,34 @@ def read_topic(path: Path, name: str) -> Sheet:
     of = _made_of(told[0][1], told[0][2])
     if not of:
         raise MeasurementError(f"{path}: messages of {shown(name)} are {told[0][1]}: neither joints nor points.")
-    titles, rows, remarks = _joint_rows(told) if of == "joints" else _point_rows(told)
+    at = f"{path}: {shown(name)}"
+    titles, rows, remarks = _joint_rows(told, at) if of == "joints" else _point_rows(told)
     if not rows:
         raise MeasurementError(f"{path}: no message of {shown(name)} has positions of joints.")
+    # So do trackers tell that they have lost their target.
+    known_rows = [row for row in rows if all(map(math.isfinite, row))]
+    if not known_rows:
+        raise MeasurementError(f"{at}: every message has a number that is none (nan or inf).")
+    if lost := len(rows) - len(known_rows):
+        remarks.append(f"{counted(lost, 'message')} with a number that is none (nan or inf) left out")
     said = f"time 0 is {_NANO * zero:.3f} s of the recording's clock"
-    return Sheet(titles, tuple(tuple(map(repr, row)) for row in rows), str(path), (said, *remarks))
+    return Sheet(titles, tuple(tuple(map(repr, row)) for row in known_rows), str(path), (said, *remarks))
 
 
-def _joint_rows(told: list[tuple[float, str, Any]]) -> tuple[tuple[str, ...], list[list[float]], list[str]]:
+def _joint_rows(told: list[tuple[float, str, Any]], at: str) -> tuple[tuple[str, ...], list[list[float]], list[str]]:
+    """Return titles, rows and remarks of joints: of the messages with the joints that most have, in any order."""
     found = [(time, tuple(message.name), message.position) for time, _, message in told if len(message.position)]
-    sets = Counter(names for _, names, position in found if len(names) == len(position))
+    sets = Counter(tuple(sorted(names)) for _, names, position in found if len(names) == len(position))
     if not sets:
         return (), [], []
-    names, many = sets.most_common(1)[0]
-    rows = [[time, *map(float, position)] for time, own, position in found if own == names]
+    common, many = sets.most_common(1)[0]
+    if len(set(common)) < len(common) or not all(name.strip() for name in common):
+        raise MeasurementError(f"{at}: has the joints {listed(common)}; each needs a name of its own.")
+    names, rows = tuple[str, ...](), []
+    for time, own, position in found:
+        if len(own) == len(position) and tuple(sorted(own)) == common:
+            names = names or own
+            rows.append([time, *(float(position[own.index(name)]) for name in names)])
     remarks = ["joints that slide are in m: change the unit of their columns"]
     if many < len(told):
         remarks.append(f"{counted(len(told) - many, 'message')} of other joints, or without positions, left out")
@@ -157,8 +174,7 @@ def _stamp(message: Any, recorded: int) -> int:
 
 def _messages(reader: Any, path: Path, wanted: str | None) -> Iterator[tuple[str, str, int, Any]]:
     """Yield topic, kind, time of recording and message; of transforms every frame by itself."""
-    topic, _, frame = (wanted or "").partition(":")
-    chosen = [one for one in reader.connections if wanted is None or one.topic == topic]
+    chosen = [one for one in reader.connections if wanted is None or _may_hold(one, wanted)]
     if not chosen:
         return
     seen: set[str] = set()
@@ -176,8 +192,15 @@ def _messages(reader: Any, path: Path, wanted: str | None) -> Iterator[tuple[str
             yield name, kind, time, message
             continue
         for transform in message.transforms:
-            if wanted is None or transform.child_frame_id == frame:
+            if wanted is None or wanted == f"{name}:{transform.child_frame_id}":
                 yield f"{name}:{transform.child_frame_id}", kind, time, transform
+
+
+def _may_hold(connection: Any, wanted: str) -> bool:
+    """Return whether a topic, or a frame of transforms, of this name is among the messages of a connection."""
+    if connection.msgtype == _TF:
+        return wanted.startswith(f"{connection.topic}:")
+    return bool(connection.topic == wanted)
 
 
 @contextmanager

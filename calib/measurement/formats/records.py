@@ -11,7 +11,7 @@ from calib.foundations.csv_text import text_of
 from calib.foundations.errors import MeasurementError
 from calib.foundations.json_text import UnreadableError, unique_names, whole_number
 from calib.foundations.words import shown
-from calib.measurement.formats.yaml_events import read_yaml
+from calib.measurement.formats.yaml_events import read_yaml, written
 
 _DEEPEST = 8
 _MOST_CELLS = 5_000_000
@@ -40,23 +40,10 @@ def from_yaml(data: bytes, where: str) -> _Rows:
 
     def documents_of(yaml: Any, text: str, loader: Any) -> list[Any]:
         nodes = yaml.compose_all(text, loader)
-        return [found for node in nodes if node is not None and (found := _written(node))]
+        return [found for node in nodes if node is not None and (found := written(node))]
 
     documents = read_yaml(_text(data, where), where, MeasurementError, documents_of)
     return _rows(_records(documents[0]) if len(documents) == 1 else documents, where)
-
-
-def _written(node: Any) -> Any:
-    """Return what stands at a node of YAML, scalars as they are written: 017 is neither 15 nor a number of ours."""
-    if node.id == "sequence":
-        return [_written(item) for item in node.value]
-    if node.id == "mapping":
-        return unique_names([(str(_written(key)), _written(value)) for key, value in node.value])
-    kind = node.tag.rpartition(":")[2]
-    if kind == "null":
-        return None
-    # YAML has a point in front of what is no number.
-    return node.value.replace(".", "") if kind == "float" and node.value[-1:].isalpha() else node.value
 
 
 def _text(data: bytes, where: str) -> str:

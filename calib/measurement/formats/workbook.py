@@ -21,7 +21,10 @@ _MOST_TAGS_PER_BYTE, _LEAST_TAGS = 4, 500_000
 _MOST_ROWS, _MOST_COLUMNS, _MOST_VALUES = 200_000, 1000, 5_000_000
 # The last row that a workbook can have; the rows before one are walked through, be they there or not.
 _LAST_ROW = 1_048_576
-_ROW = re.compile(rb"""<(?:\w+:)?row\s(?:[^<>]*?\s)?r=["'](\d{1,20})["']""")
+# Rows by their number, and cells by their column.
+_PLACE = re.compile(
+    rb"""<(?:\w+:)?(?:row\s(?:[^<>]*?\s)?r=["'](\d{1,20})|c\s(?:[^<>]*?\s)?r=["']([A-Z]{1,3})\d{1,20})["']"""
+)
 # With the empty cells before the last one of a row. A file may leave them out; written out they have 10 bytes each.
 _MOST_LOOKED_AT = 20_000_000
 
@@ -84,9 +87,18 @@ def _refuse_bombs(archive: zipfile.ZipFile, size: int, where: str) -> None:
 
 
 def _refuse_order(part: bytes, where: str) -> None:
-    """Raise MeasurementError where rows of a sheet do not follow each other: openpyxl leaves out those that go back."""
-    before = 0
-    for number in map(int, _ROW.findall(part)):
+    """Raise MeasurementError where rows or cells of a sheet go back: openpyxl leaves such rows and cells out."""
+    before, last = 0, b""
+    for row, column in _PLACE.findall(part):
+        if column:
+            if (len(column), column) <= (len(last), last):
+                raise MeasurementError(
+                    f"{where}: a cell of column {column.decode()} stands behind one of column {last.decode()} in row "
+                    f"{before}; save the workbook again."
+                )
+            last = column
+            continue
+        number, last = int(row), b""
         if not before < number <= _LAST_ROW:
             raise MeasurementError(
                 f"{where}: row {number} stands behind row {before}; rows are numbered upwards, to {_LAST_ROW}. Save "

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from calib.foundations.errors import CalibError
-from calib.foundations.json_text import UnreadableError
+from calib.foundations.json_text import UnreadableError, unique_names
 from calib.foundations.words import shown
 
 # Deeper than any file that we read; PyYAML's builder in C ends the process at some ten thousand.
@@ -28,6 +28,19 @@ def read_yaml(text: str, where: str, error: type[CalibError], build: Callable[[A
         twice = f": {e}" if isinstance(e, UnreadableError) else ""
         raise error(f"{where}: is no YAML that can be read{twice}.") from e
     raise error(f"{where}: {wrong}.")
+
+
+def written(node: Any) -> Any:
+    """Return what stands at a node of YAML, scalars as they are written: 017 is neither 15 nor a number of ours."""
+    if node.id == "sequence":
+        return [written(item) for item in node.value]
+    if node.id == "mapping":
+        return unique_names([(str(written(key)), written(value)) for key, value in node.value])
+    kind = node.tag.rpartition(":")[2]
+    if kind == "null":
+        return None
+    # YAML has a point in front of what is no number.
+    return node.value.replace(".", "") if kind == "float" and node.value[-1:].isalpha() else node.value
 
 
 def trouble(events: Iterable[Any], most: int | None = None) -> str | None:

@@ -132,6 +132,8 @@ def _parts(lines: Sequence[_Line], where: str) -> tuple[dict[str, _Line], _Line,
 def _units(header: _Line) -> dict[str, Unit | None]:
     """Return the unit of every column by its name, in the order of the file; None for words."""
     at, titles = header
+    if len(titles) == 1 and (mark := next((mark for mark in ";\t|" if mark in titles[0]), "")):
+        raise RobotError(f"{at}: cells of a DH table are separated by commas, and not by {shown(mark)}.")
     units: dict[str, Unit | None] = {}
     for title in titles:
         match = _TITLE.fullmatch(title)
