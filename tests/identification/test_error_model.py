@@ -93,6 +93,7 @@ def test_every_parameter_has_the_unit_and_the_prior_of_its_dimension() -> None:
         ({"terms": {"gain": None}}, 'gain: None is not "all", "none" or a list of names.'),
         ({"terms": {"expansion": 5}}, 'expansion: 5 is not "arm", "all", "none" or a list of names.'),
         ({"terms": {"harmonic_orders": "12"}}, "harmonic_orders: '12' is not a list of whole numbers from 1 to 1000."),
+        ({"terms": {"harmonic_orders": ""}}, "harmonic_orders: '' is not a list of whole numbers from 1 to 1000."),
         ({"terms": "gain"}, "error_model: terms is 'gain';"),
         ({"terms": None}, "error_model: terms is None;"),
         ({"terms": [calib.JointTerm("elbow", "gain")]}, "terms: 'elbow.gain' belongs to no joint or link of the"),

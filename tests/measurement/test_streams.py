@@ -11,7 +11,7 @@ from calib.identification import system
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import values_at
 from calib.measurement.streams import lags
-from calib.measurement.streams.samples import joint_stream
+from calib.measurement.streams.samples import joint_stream, refuse_no_stream
 from calib.measurement.table import table_from_arrays
 from calib.measuring import Clock, at_rest
 from tests.support import machines, streams
@@ -325,3 +325,8 @@ def test_clocks_are_not_sought_in_days(made: Streams) -> None:
     seen["time [s]"][-1] += 1e9
     with pytest.raises(calib.MeasurementError, match="a free clock is searched in 10000 s at the most"):
         calib.measuring.read_stream(seen, made.robot, made.joints, sigma=1e-4)
+
+
+@pytest.mark.parametrize("step", [1e-4, 1.0])
+def test_a_step_that_is_just_allowed_is_not_refused_by_its_rounding(step: float) -> None:
+    refuse_no_stream(1e5 + step * np.arange(200), "arrays")

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # What has samples rarer than one a second, or ten thousand in it, is no stream of joints or points.
 SLOWEST, FASTEST = 1.0, 1e-4
+# Steps between times that are differences of large numbers.
+_ROUNDING = 1e-3
 # Encoders at rest jitter by less, in rad or m.
 _AT_REST = 1e-4
 # Gaps from so many steps of a stream on are not bridged: one lost sample is. In s, at the least and at the most.
@@ -149,7 +151,7 @@ def refuse_no_stream(times: Array, where: str) -> None:
     if len(times) < _FEWEST:
         raise MeasurementError(f"{where}: has {len(times)} samples, and a stream needs {_FEWEST}.")
     step = float(np.median(np.diff(times)))
-    if not FASTEST <= step <= SLOWEST:
+    if not FASTEST * (1.0 - _ROUNDING) <= step <= SLOWEST * (1.0 + _ROUNDING):
         than = "more" if step > SLOWEST else "less"
         raise MeasurementError(
             f"{where}: half of its rows are {step:.4g} s apart or {than}; in a stream it is {FASTEST:g} to {SLOWEST:g} "

@@ -19,7 +19,9 @@ _Wave = Callable[[Array, Array], Array]
 
 
 def _are_orders(value: object) -> bool:
-    return isinstance(value, Sequence) and all(type(k) is int and 1 <= k <= HIGHEST_ORDER for k in value)
+    if not isinstance(value, Sequence) or isinstance(value, str):
+        return False
+    return all(type(k) is int and 1 <= k <= HIGHEST_ORDER for k in value)
 
 
 class Harmonic(Kind):
