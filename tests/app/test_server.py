@@ -26,7 +26,14 @@ from calib.app.folder import SESSION
 from calib.app.session import Session
 from tests.support.cases import CASE, JOB, TABLE, URDF, run
 
-MAIN = "import signal; signal.signal(2, signal.default_int_handler); from calib.cli import main; main()"
+# Whoever runs the tests in the background has taught them to ignore signals; a person's terminal has not.
+MAIN = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+from calib.cli import main
+main()
+"""
 PANDA = "example:panda_description/urdf/panda.urdf"
 
 
