@@ -122,13 +122,11 @@ def pose_groups(data: Measurements) -> tuple[IntArray, ...]:
 
 def _seen(fit: Fit, sets: Sequence[Measurements]) -> set[tuple[str, str]]:
     """Return kind and name of all targets, and of tools and set-ups where they were found, of which there are rows."""
-    free = {parameter.kind for parameter in fit.parameters}
-    found = {("target", name) for data in sets for name in data.seen_targets}
-    if "tool" in free:
-        found |= {("tool", data.tools[k]) for data in sets for k in np.unique(data.tool)}
-    if "base" in free:
-        found |= {("base", data.setups[k]) for data in sets for k in np.unique(data.setup)}
-    return found
+    sought = {"target", *(parameter.kind for parameter in fit.parameters)}
+    own = [data.with_own_names() for data in sets]
+    names = [("target", data.targets) for data in own]
+    names += [("tool", data.tools) for data in own] + [("base", data.setups) for data in own]
+    return {(kind, name) for kind, of_set in names if kind in sought for name in of_set}
 
 
 def _drawn(groups: Sequence[IntArray], rng: np.random.Generator) -> tuple[IntArray, IntArray]:

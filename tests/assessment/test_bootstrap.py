@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.bootstrap import Kind, bootstrap, pose_groups
+from calib.assessment.bootstrap import Kind, _seen, bootstrap, pose_groups
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from tests.support import cameras, machines
 from tests.support.machines import Machine, anywhere, pose
+from tests.support.touching import Lab
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 REPETITIONS = 40
@@ -111,6 +112,17 @@ def test_a_repetition_that_does_not_place_a_set_up_has_failed(beside: bool) -> N
     found = bootstrap(fit, q[:2], 8, seed=1)
     assert 0 < found.failed < 7
     assert len(found.values) == 8 - found.failed
+
+
+def test_a_tool_of_the_other_end_alone_has_rows_as_well() -> None:
+    fit, arm = fit_of(20)
+    rng = np.random.default_rng(0)
+    true = Machine(arm, anywhere(rng), {"tool": pose((0.05, 0, 0.1))})
+    pairs = Lab(true, machines.load(*UR10), rng).pairs(4)
+    assert pairs.other is not None
+    both = replace(pairs, tools=("tool", "ball"), other=replace(pairs.other, tool=np.ones(4, dtype=np.intp)))
+    assert {name for kind, name in _seen(fit, [both]) if kind == "tool"} == {"tool", "ball"}
+    assert {name for kind, name in _seen(fit, [pairs]) if kind == "tool"} == {"tool"}
 
 
 def test_wrong_wishes_are_refused() -> None:
