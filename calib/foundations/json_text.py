@@ -3,9 +3,14 @@
 import json
 import math
 from collections.abc import Mapping
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from calib.foundations.words import shown
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+_Model = TypeVar("_Model", bound="BaseModel")
 
 
 class NotJsonError(ValueError):
@@ -43,6 +48,15 @@ def parse_json(source: bytes) -> Any:
         raise NotJsonError("is not JSON that can be read: it is nested too deep") from e
     except ValueError as e:  # also of bytes that are no text
         raise NotJsonError("is not JSON, or is truncated") from e
+
+
+def validated(model: type[_Model], source: bytes) -> _Model:
+    """Return a JSON document as a model of pydantic, which by itself takes the last of two values under one name.
+
+    Raises NotJsonError as :func:`parse_json`, and pydantic's ValidationError.
+    """
+    parse_json(source)
+    return model.model_validate_json(source)
 
 
 def _refuse_constant(name: str) -> NoReturn:

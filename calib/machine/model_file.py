@@ -23,7 +23,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.folders import reading_folder
-from calib.foundations.json_text import NotJsonError, parse_json
+from calib.foundations.json_text import NotJsonError, validated
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import GaussianResiduals, gaussian_bytes, load_gaussian
 from calib.machine.grid import SectorGrid, grid_bytes, load_grid
@@ -340,8 +340,7 @@ def _residual_model(folder: Path, name: ResidualFile | None, robot: Robot) -> Se
 def _parsed(source: bytes, path: Path) -> ModelFile:
     """Return the contents of a model file, or raise OutputError with the place of the first thing that is wrong."""
     try:
-        parse_json(source)  # pydantic takes the last of two values under one name
-        return ModelFile.model_validate_json(source)
+        return validated(ModelFile, source)
     except NotJsonError as e:
         raise OutputError(f"{path}: {e}.") from e
     except ValidationError as e:

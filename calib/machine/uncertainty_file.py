@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes
-from calib.foundations.json_text import NotJsonError, parse_json
+from calib.foundations.json_text import NotJsonError, validated
 from calib.identification.machine import Layout
 from calib.machine.uncertainty import CAUSES, NoiseLevel, Uncertainty, Waves
 from calib.robot.robot import Robot
@@ -128,9 +128,7 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
     Raises OutputError when the file does not belong to it.
     """
     try:
-        source = read_bytes(path, OutputError, LARGEST_JSON)
-        parse_json(source)  # pydantic takes the last of two values under one name
-        found = UncertaintyFile.model_validate_json(source)
+        found = validated(UncertaintyFile, read_bytes(path, OutputError, LARGEST_JSON))
     except NotJsonError as e:
         raise OutputError(f"{path}: {e}.") from e
     except ValidationError as e:

@@ -19,7 +19,7 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes, sentences
 from calib.foundations.folders import reading_folder, real_folder, refuse_kept, refuse_unwritable, write_folder
-from calib.foundations.json_text import NotJsonError, document, parse_json
+from calib.foundations.json_text import NotJsonError, document, validated
 from calib.foundations.units import DEG, MM
 from calib.foundations.words import shown
 from calib.identification.error_model import corrected_dh
@@ -180,8 +180,7 @@ def read_result(folder: Path) -> "ResultFile":
     with reading_folder(folder):
         source = read_bytes(path, OutputError, LARGEST_JSON)
     try:
-        parse_json(source)  # pydantic takes the last of two values under one name
-        return ResultFile.model_validate_json(source.removeprefix(BOM_UTF8))
+        return validated(ResultFile, source.removeprefix(BOM_UTF8))
     except NotJsonError as e:
         raise OutputError(f"{path}: {e}.") from e
     except ValidationError as e:
