@@ -162,11 +162,7 @@ def read_photographed_board(path: Path) -> Print:
     """Read what is printed on a board, whose markers OpenCV has to know. Raises JobError as :func:`read_board` does."""
     print_ = read_board(path)
     if print_.dictionary:
-        try:
-            marker_bits(print_)
-        except JobError as e:
-            ours, begin = str(e), "board: "
-            raise JobError(f"{path}: {ours.removeprefix(begin)}" if ours.startswith(begin) else ours) from e
+        marker_bits(print_, str(path))
     return print_
 
 

@@ -77,28 +77,28 @@ def opencv() -> Any:
     return cv2
 
 
-def dictionary(name: str) -> Any:
-    """Return OpenCV's dictionary of markers. Raises JobError for a name that it does not know."""
+def dictionary(name: str, where: str = "board") -> Any:
+    """Return OpenCV's dictionary of markers. Raises JobError for a name that it does not know, as of ``where``."""
     cv2 = opencv()
     number = getattr(cv2.aruco, name, None) if name.startswith("DICT_") else None
     if not isinstance(number, int):
         known = sorted(other for other in dir(cv2.aruco) if other.startswith("DICT_"))
-        raise JobError(f"board: dictionary: {name!r} is none of OpenCV's: {', '.join(known)}.")
+        raise JobError(f"{where}: dictionary: {name!r} is none of OpenCV's: {', '.join(known)}.")
     return cv2.aruco.getPredefinedDictionary(number)
 
 
-def marker_bits(print_: Print) -> list[BoolArray]:
+def marker_bits(print_: Print, where: str = "board") -> list[BoolArray]:
     """Return the cells of the markers of a board, True where white, in the order of its white squares.
 
-    Raises JobError when the dictionary has too few.
+    Raises JobError when the dictionary is not known or has too few, as of the board's file ``where``.
     """
-    cv2, of = opencv(), dictionary(print_.dictionary)
+    cv2, of = opencv(), dictionary(print_.dictionary, where)
     across, down = print_.squares
     needed = across * down // 2
     if (has := len(of.bytesList)) < needed:
         raise JobError(
-            f"board: {across} x {down} squares need {needed} markers, and {print_.dictionary} has {has}; take a larger "
-            "dictionary or fewer squares."
+            f"{where}: {across} x {down} squares need {needed} markers, and {print_.dictionary} has {has}; take a "
+            "larger dictionary or fewer squares."
         )
     side = int(of.markerSize) + 2
     return [np.asarray(cv2.aruco.generateImageMarker(of, k, side) > 127) for k in range(needed)]
