@@ -18,7 +18,8 @@ _MOST_CELLS = 5_000_000
 _LONGEST_LIST = 1000
 _OF_JOINTS = ("name", "position", "velocity", "effort")
 
-_Rows = tuple[Sequence[str], Sequence[Sequence[str]]]
+# Titles, cells and remarks.
+_Rows = tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]
 
 
 def from_json_lines(data: bytes, where: str) -> _Rows:
@@ -93,7 +94,7 @@ def _rows(found: Sequence[Any], where: str) -> _Rows:
             raise MeasurementError(f"{where}: has more than {_LONGEST_LIST} columns.")
     if count and len(rows) * len(titles) > _MOST_CELLS:
         raise MeasurementError(f"{where}: has more than {_MOST_CELLS} values.")
-    return list(titles), [[row.get(title, "") for title in titles] for row in rows]
+    return list(titles), [[row.get(title, "") for title in titles] for row in rows], ()
 
 
 def _flat(node: Any, name: str, depth: int, where: str) -> Iterator[tuple[str, str]]:

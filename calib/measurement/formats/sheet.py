@@ -44,25 +44,24 @@ def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
     MeasurementError when it cannot be read, or holds no rows.
     """
     path, where = Path(path), str(path)
-    readers: Mapping[str, Callable[[bytes, str], tuple[Sequence[str], Sequence[Sequence[str]]]]] = {
+    # Each gives titles, cells and remarks.
+    readers: Mapping[str, Callable[[bytes, str], tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]]] = {
         ".jsonl": records.from_json_lines,
         ".ndjson": records.from_json_lines,
         ".json": records.from_json,
         ".yaml": records.from_yaml,
         ".yml": records.from_yaml,
         ".xlsx": workbook.from_xlsx,
+        ".npz": arrays.from_npz,
     }
     data = read_bytes(path, MeasurementError, _LARGEST)
-    if path.suffix.lower() == ".npz":
-        titles, rows, said = arrays.from_npz(data, where)
-        return Sheet(tuple(titles), tuple(map(tuple, rows)), where, said)
     reader = readers.get(path.suffix.lower())
     if reader is None:
         return _not_too_wide(_of_log(data, where, part) or _with_names_of_log(_of_text(data, where)))
-    titles, rows = reader(data, where)
+    titles, rows, said = reader(data, where)
     if not rows or not titles:
         raise MeasurementError(f"{where}: has no rows.")
-    return _not_too_wide(Sheet(tuple(titles), tuple(map(tuple, rows)), where))
+    return _not_too_wide(Sheet(tuple(titles), tuple(map(tuple, rows)), where, said))
 
 
 def _not_too_wide(sheet: Sheet) -> Sheet:

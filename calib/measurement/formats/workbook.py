@@ -29,10 +29,10 @@ _PLACE = re.compile(
 _MOST_LOOKED_AT = 20_000_000
 
 
-def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]]]:
-    """Return titles and cells of the first sheet that is not hidden; a first row of numbers is no header.
+def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]:
+    """Return titles and cells of the first sheet that is not hidden, and no remarks.
 
-    Formulas are as shown.
+    A first row of numbers is no header. Formulas are as shown.
     """
     try:
         import openpyxl  # noqa: PLC0415 - an extra
@@ -64,9 +64,9 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
     if not rows:
         raise MeasurementError(f"{where}: has no rows.")
     if all(is_number(cell, ",") for cell in rows[0] if cell):
-        return [f"column {k + 1}" for k in range(width)], rows
+        return [f"column {k + 1}" for k in range(width)], rows, ()
     titles = [title or f"column {k + 1}" for k, title in enumerate(rows[0])]
-    return titles, rows[1:]
+    return titles, rows[1:], ()
 
 
 def _refuse_bombs(archive: zipfile.ZipFile, size: int, where: str) -> None:
