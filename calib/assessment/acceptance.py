@@ -39,9 +39,9 @@ SIGNIFICANCE = 0.01
 # Places that differ from one, or from a line, by less than a millionth of the reach.
 _NEARLY_IN_LINE = 1e-6
 # What a residual model gets wrong is common to its neighbours; of more rows so many are looked at together.
+_TOGETHER = 300
 # In m or rad: nothing is left of the square of less.
 _LEAST_NOISE = 1e-100
-_TOGETHER = 300
 # Entries of twists of length one that differ by rounding alone.
 _SAME_AXIS = 1e-9
 

@@ -144,7 +144,7 @@ def _at_random(data: Measurements, group: IntArray, many: int) -> BoolArray:
     """
     each = data.sigma.shape[1]
     order = np.random.default_rng(0).permutation(int(group.max()) + 1)
-    parts = [own for own in (data.setup, *(end.tool for end in data.ends)) if np.unique(own).size > 1]
+    parts = [own for own in _setups_and_tools(data) if np.unique(own).size > 1]
     if not parts:
         return np.isin(group, order[:many])
     # How many numbers each group has of each tool and set-up.
@@ -165,6 +165,11 @@ def _at_random(data: Measurements, group: IntArray, many: int) -> BoolArray:
             left[of] -= lost
             chosen.append(int(k))
     return np.isin(group, chosen)
+
+
+def _setups_and_tools(data: Measurements) -> tuple[IntArray, ...]:
+    """Return the numbers (N,) of the set-up of every row, and of the tool of each of its ends; -1 for none."""
+    return data.setup, *(end.tool for end in data.ends)
 
 
 def _words(measurements: Sequence[Measurements]) -> list[str | None]:
@@ -219,7 +224,7 @@ def parts_apart(fold: IntArray, group: IntArray, measurements: Sequence[Measurem
     found, number = np.array(fold), int(fold.max()) + 1
     ends = np.cumsum([len(data) for data in measurements])
     for data, rows in zip(measurements, np.split(np.arange(len(fold)), ends[:-1]), strict=True):
-        for part in (data.setup, *(end.tool for end in data.ends)):
+        for part in _setups_and_tools(data):
             for own in (rows[part == name] for name in np.unique(part[part >= 0])):
                 if group[own].min() < group[own].max() and found[own].min() == found[own].max():
                     found[group == group[own].min()] = (found[own[0]] + 1) % number
