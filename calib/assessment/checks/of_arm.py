@@ -82,7 +82,7 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
             worst = abs(by) / max(LINK * length, LINK_LENGTH)
             link = f"{fit.robot.chain[k].name!r} differs by {by / MM:+.0f} mm"
     scale, sigma, moves, alike = _common_scale(fit, parts, scaled, moved)
-    most = SCALE if alike >= ALIKE else LINK
+    most = LINK if alike < ALIKE and abs(scale) > SCALE else SCALE
     if abs(scale) > max(most, SURE * sigma) and abs(scale) * moves > SCALED:
         said = (
             f"All links seem {100.0 * scale:+.2g} % longer than in the URDF: is it the URDF of this robot, and are the "
@@ -96,12 +96,12 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
         said = "No lengths were free."
     elif abs(scale) > most:
         said = "Little tells whether all links are longer than in the URDF."
-        scale = NOTHING
+        scale, most = NOTHING, SCALE
     elif np.isnan(scale):
         said = "Nothing tells whether all links are longer than in the URDF."
     else:
         said = f"Links seem {100.0 * scale:+.2g} % longer than in the URDF."
-    return Check.of("lengths", abs(scale), most if abs(scale) > SCALE else SCALE, True, said)
+    return Check.of("lengths", abs(scale), most, True, said)
 
 
 def _common_scale(
