@@ -19,6 +19,10 @@ Rgb = tuple[float, float, float]
 # Formats that hold a mesh and nothing else: trimesh would also open archives, drawings and CAD files.
 _FORMATS = {".dae", ".stl", ".obj", ".ply", ".off", ".glb"}
 LARGEST_FILE = 200_000_000
+# Corners so near each other, in m, are one vertex.
+_SAME_PLACE = 1e-8
+_STL_HEADER = 84
+_STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,28 +70,54 @@ def parse_mesh(data: bytes, suffix: str, otherwise: Rgb, spare: int = MOST_CORNE
     """
     if suffix not in _FORMATS:
         return None
+    try:
+        told = counts(data, suffix)
+    except DAMAGED:
+        return None
+    if not told.within(spare + len(data)):
+        return None
+    triangles = _of_binary_stl(data, otherwise) if suffix == ".stl" else None
+    parts = _by_library(data, suffix, otherwise) if triangles is None else [triangles]
+    corners = 3 * sum(len(part.faces) for part in parts)
+    usable = 0 < corners <= spare + len(data) and all(map(is_sound, parts))
+    return Mesh(joined_by_colour(parts), max(corners, told.corners)) if usable else None
+
+
+def _of_binary_stl(data: bytes, rgb: Rgb) -> Triangles | None:
+    """Return the triangles of a binary STL, corners in one place as one vertex; None when the file is none.
+
+    trimesh would find the same, but to load it takes longer than most commands that judge collisions.
+    """
+    count = int.from_bytes(data[_STL_HEADER - 4 : _STL_HEADER], "little")
+    if len(data) != _STL_HEADER + count * _STL_TRIANGLE.itemsize:
+        return None
+    with np.errstate(invalid="ignore"):
+        corners = np.frombuffer(data, _STL_TRIANGLE, offset=_STL_HEADER)["corners"].reshape(-1, 3).astype(np.float64)
+        # 0 is added to what is rounded to -0.
+        places = np.rint(corners / _SAME_PLACE) + 0.0
+    _, first, vertex = np.unique(places.view("V24").ravel(), return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    return Triangles(corners[first[order]], np.argsort(order)[vertex].reshape(-1, 3), rgb)
+
+
+def _by_library(data: bytes, suffix: str, otherwise: Rgb) -> list[Triangles]:
+    """Return the triangles of a mesh file of any format, none when it is damaged."""
     from collada.common import DaeError  # noqa: PLC0415
 
     trimesh = _trimesh()
     try:
-        told = counts(data, suffix)
-        if not told.within(spare + len(data)):
-            return None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=None)
             # COLLADA states its unit, and ROS viewers obey it.
             unit = 1.0 if scene.units is None else trimesh.units.unit_conversion(scene.units, "meters")
-            parts = [
+            return [
                 moved(_triangles(scene.geometry[name], otherwise), T @ np.diag([unit, unit, unit, 1.0]))
                 for T, name in map(scene.graph.get, scene.graph.nodes_geometry)
                 if isinstance(scene.geometry[name], trimesh.Trimesh)
             ]
     except (DaeError, *DAMAGED):
-        return None
-    corners = 3 * sum(len(part.faces) for part in parts)
-    usable = 0 < corners <= spare + len(data) and all(map(is_sound, parts))
-    return Mesh(joined_by_colour(parts), max(corners, told.corners)) if usable else None
+        return []
 
 
 def is_sound(part: Triangles) -> bool:

@@ -1,0 +1,86 @@
+"""Triangles of mesh files: what is read here is what trimesh reads."""
+
+import io
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from calib.foundations.arrays import Array
+from calib.robot.mesh_files import Triangles, parse_mesh
+from calib.robot.sources import resolve
+
+GREY = (0.5, 0.5, 0.5)
+
+
+def binary_stl(corners: Array, told: int | None = None) -> bytes:
+    """Return the bytes of a binary STL of triangles (N, 3, 3); it may tell of another number of them."""
+    parts = [struct.pack("<12fH", 0, 0, 0, *triangle.ravel(), 7) for triangle in corners]
+    return b"a robot".ljust(80) + struct.pack("<I", len(corners) if told is None else told) + b"".join(parts)
+
+
+def read(data: bytes) -> Triangles:
+    mesh = parse_mesh(data, ".stl", GREY)
+    assert mesh is not None
+    (part,) = mesh.parts
+    assert mesh.corners == 3 * len(part.faces)
+    return part
+
+
+def test_binary_stl_is_read_as_trimesh_reads_it() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(40, 3)) * 10.0 ** rng.integers(-6, 3, size=(40, 1))
+    points[0], points[1], points[2] = 0.0, -0.0, 3e-9
+    data = binary_stl(points[rng.integers(0, 40, size=(300, 3))])
+    found = read(data)
+    expected = trimesh.load_mesh(io.BytesIO(data), file_type="stl")
+    np.testing.assert_array_equal(found.vertices, expected.vertices)
+    np.testing.assert_array_equal(found.faces, expected.faces)
+    assert len(found.vertices) == 38
+    assert found.rgb == GREY
+
+
+def test_binary_stl_that_does_not_hold_what_it_tells_is_refused() -> None:
+    corners = np.random.default_rng(1).normal(size=(5, 3, 3))
+    assert len(read(binary_stl(corners)).faces) == 5
+    for told in (0, 4, 6, 2**32 - 1):
+        assert parse_mesh(binary_stl(corners, told), ".stl", GREY) is None
+    assert parse_mesh(binary_stl(corners[:0]), ".stl", GREY) is None
+    assert parse_mesh(binary_stl(corners)[:83], ".stl", GREY) is None
+
+
+@pytest.mark.parametrize("number", [b"\x00\x00\xc0\x7f", b"\x01\x00\x80\x7f", b"\x00\x00\x80\x7f"])
+def test_corners_that_are_no_numbers_are_refused(number: bytes) -> None:
+    data = bytearray(binary_stl(np.random.default_rng(2).normal(size=(5, 3, 3))))
+    data[96:100] = number
+    assert parse_mesh(bytes(data), ".stl", GREY) is None
+
+
+def test_text_stl_is_read_by_trimesh() -> None:
+    corners = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]], dtype=float)
+    facets = "".join(
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in triangle)
+        + "endloop\nendfacet\n"
+        for triangle in corners
+    )
+    found = read(f"solid a\n{facets}endsolid a\n".encode())
+    np.testing.assert_array_equal(found.vertices[found.faces], corners)
+    np.testing.assert_array_equal(read(binary_stl(corners)).vertices[read(binary_stl(corners)).faces], corners)
+
+
+def test_a_plan_with_collision_meshes_waits_for_no_trimesh(tmp_path: Path) -> None:
+    arm = "example:ur_description/urdf/ur10_robot.urdf"
+    assert resolve(arm).read_bytes().count(b".stl") > 5
+    code = "import atexit, sys; atexit.register(lambda: print('trimesh' in sys.modules))\n"
+    command = [sys.executable, "-c", code + "from calib_start import main; main()", "plan", "-n", "12"]
+    arguments = [arm, "--tip", "tool0", "--candidates", "50"]
+    done = subprocess.run(
+        [*command, *arguments, "-o", str(tmp_path / "plan.csv")], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "False"), done.stderr
+    assert "not judged" not in done.stdout
