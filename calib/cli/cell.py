@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import IN_WORDS, MORE, Telling, command
-from calib.cli.options import MeshRoots, argument, mesh_folders, option, refuse_idle, written
+from calib.cli.options import MeshRoots, SetupName, argument, mesh_folders, option, refuse_idle, written
 from calib.foundations.choices import PlacedIn
 from calib_start import loading
 
@@ -20,6 +20,7 @@ def cell(
     placed_in: Annotated[
         PlacedIn, typer.Option("--placed-in", help="In whose frame the positioner's base was found.")
     ] = "arm",
+    setup: SetupName = None,
     prefix: Annotated[str | None, option("--prefix", "NAME", "Put before names that both use, as NAME_.")] = None,
     mesh_root: MeshRoots = None,
     telling: Telling = IN_WORDS,
@@ -40,7 +41,7 @@ def cell(
     if scene == out:
         raise JobError(f"{out}: cannot be the cell and its scene; choose another name for one of them.")
     refuse_taken(out, scene)
-    found = calibrated_cell(arm, positioner, placed_in, prefix)
+    found = calibrated_cell(arm, positioner, placed_in, prefix, setup=setup)
     # As in a job: the URDF's own folder, and what is named.
     roots = (arm.parent, *mesh_folders(mesh_root))
     files: dict[Path, bytes | str] = {out: found.cell.document}

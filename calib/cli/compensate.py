@@ -45,8 +45,11 @@ def compensate(
     refuse_taken(out)
     with telling.progress(steps=2) as say:
         say("reading the model and the targets")
-        model = load_machine(results).at(setup)
+        model = load_machine(results)
         wanted = targets_of.read_targets(targets, model, tool)
+        # Which set-up it is matters for poses in the instrument's frame, and for what gives way under other loads.
+        matters = (frame == "instrument" and wanted.poses is not None) or bool(model.robot.terms and model.robot.loads)
+        model = model.standing(setup, str(results)) if matters else model.at(setup)
         idle = targets_of.idle(model, wanted, frame=frame, clamp=clamp)
         say("correcting")
         found = targets_of.corrections(model, wanted, what=what, frame=frame, clamp=clamp)

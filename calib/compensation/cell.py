@@ -45,18 +45,25 @@ class CalibratedCell:
 
 @checked
 def calibrated_cell(
-    arm: Path, positioner: Path, placed_in: PlacedIn = "arm", prefix: str | None = None
+    arm: Path,
+    positioner: Path,
+    placed_in: PlacedIn = "arm",
+    prefix: str | None = None,
+    *,
+    setup: str | None = None,
 ) -> CalibratedCell:
     """Return the URDF that carries an arm and a positioner, or another machine, where calibration found it.
 
     ``arm``: the folder of the arm's results, or a URDF that is calibrated already. ``positioner``: the folder of
     results. ``placed_in``: whose frame its base was found in: "arm", because the arm touched it, or "instrument", one
-    that both were calibrated with. ``prefix``: as in :func:`calib.robot.cell.compose`.
+    that both were calibrated with. ``prefix``: as in :func:`calib.robot.cell.compose`. ``setup``: in which set-up they
+    stand in the cell, where a folder has several.
 
     Raises JobError when a URDF is to be placed in an instrument's frame, OutputError when a folder holds no readable
-    model, RobotError when a URDF cannot be used.
+    model, RobotError when a URDF cannot be used, MeasurementError for an unknown set-up, and for None where a base was
+    found in several.
     """
-    model = load_machine(positioner).geometry
+    model = _standing(positioner, setup).geometry
     second = parse_urdf(calibrated_urdf(model.robot, model.deviations), str(positioner))
     placement, root = model.base, np.eye(4)
     if arm.suffix.lower() == ".urdf" and not os.path.lexists(arm / MODEL_FILE):
@@ -68,10 +75,16 @@ def calibrated_cell(
         first = read_urdf(arm)
         base = first.root
     else:
-        carrier = load_machine(arm).geometry
+        carrier = (_standing(arm, setup) if placed_in == "instrument" else load_machine(arm)).geometry
         first = parse_urdf(calibrated_urdf(carrier.robot, carrier.deviations), str(arm))
         base, root = carrier.robot.base, carrier.robot.root_in_base
         if placed_in == "instrument":
             placement = rigid.inverse(carrier.base) @ placement
     cell = compose(first, second, base, placement @ model.robot.root_in_base, prefix)
     return CalibratedCell(cell, model, read_only(root), read_only(placement))
+
+
+def _standing(folder: Path, setup: str | None) -> CalibratedMachine:
+    """Return the machine of a folder as it stood in a set-up; one that never stood elsewhere, whatever its name."""
+    machine = load_machine(folder)
+    return machine if len(machine.bases) == 1 else machine.standing(setup, str(folder))

@@ -310,6 +310,10 @@ def _solve_block(model: CalibratedMachine, asked: Asked, how: How, effort: Effor
     for n in map(int, np.flatnonzero(reached & (np.abs(change).max(axis=1, initial=0.0) > how.remarkable))):
         j = int(np.argmax(np.abs(change[n])))
         why[n] = "; ".join(filter(None, [why[n], f"{readings[j].name} changes by {_said(change[n, j], readings[j])}"]))
+    arrived = np.flatnonzero(reached)
+    led_beyond = _led_beyond(model, q[arrived], asked.conditions.subset(arrived))
+    for n, said in zip(map(int, arrived), led_beyond, strict=True):
+        why[n] = "; ".join(filter(None, [why[n], said]))
     change[~reached] = q[~reached] = np.nan
     return Corrections(q, change, reached, position, angle, tuple(why), steps)
 
@@ -328,6 +332,25 @@ def _beyond(row: Array, readings: Sequence[Reading]) -> str:
                 f"{_said(low, reading)} and {_said(high, reading)}"
             )
     return ""
+
+
+def _led_beyond(model: CalibratedMachine, q: Array, conditions: Conditions) -> list[str]:
+    """Return which joint that has no reading, and follows others, is beyond its limits at readings (n, nr), or "".
+
+    Such limits are often written without care, so that this is a remark.
+    """
+    robot, said = model.robot, [""] * len(q)
+    known = {reading.name for reading in robot.readings}
+    joints = [robot.urdf.joint(robot.chain[i].name) for i in robot.moving]
+    # A <limit> of efforts alone is 0 to 0.
+    led = [k for k, joint in enumerate(joints) if joint.name not in known and joint.lower != joint.upper]
+    positions = robot.joint_positions(q, model.deviations, conditions) if led and len(q) else np.zeros((len(q), 0))
+    for k in led if positions.size else ():
+        joint = joints[k]
+        follower = [Reading(joint.name, "length" if joint.type == "prismatic" else "angle", joint.lower, joint.upper)]
+        for n in map(int, np.flatnonzero(_outside(positions[:, [k]], *limits(follower))[:, 0])):
+            said[n] = said[n] or f"{_beyond(positions[n, [k]], follower)}; it follows others"
+    return said
 
 
 def _said(value: float, reading: Reading) -> str:

@@ -1,11 +1,13 @@
 """The last level of a job: a model of what the identified machine leaves, over joint space."""
 
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from calib.assessment.gaussian_choice import MOST_JUDGED, bought
 from calib.assessment.validation import row_groups
+from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import MM
 from calib.identification.fit import Fit
@@ -13,9 +15,11 @@ from calib.identification.identify import residuals_of
 from calib.job.inputs import Inputs
 from calib.job.read import Progress
 from calib.job.refusals import with_positions
+from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import GaussianResiduals, gaussian_from_residuals
 from calib.machine.grid import SectorGrid, axes_of, grid_from_residuals
 from calib.measurement.checks import Finding
+from calib.measurement.measurements import Measurements
 
 
 class ResidualLevel(NamedTuple):
@@ -70,3 +74,27 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
         f"{without.rms / MM:.3g} mm to {held.rms / MM:.3g} mm, which is not better by more than a standard error."
     )
     return ResidualLevel(None, 0, Finding.warning("gaussian-process-left-out", sentence))
+
+
+def worse(machine: CalibratedMachine, fit: Fit, held_out: Sequence[Measurements]) -> Iterable[Finding]:
+    """Yield that a residual model makes held-out positions worse, by more than a standard error of the difference.
+
+    The noise of what it was measured from is in all that it adds.
+    """
+    sets = with_positions(held_out)
+    left = residuals_of(fit, sets, fit.machine)
+    without = np.concatenate([np.zeros(0), *(_squared(r) for r in left)])
+    now = np.concatenate([np.zeros(0), *(_squared(machine.less_shifts(r, d)) for r, d in zip(left, sets, strict=True))])
+    more = now - without
+    if len(more) > 1 and np.mean(more) > np.std(more, ddof=1) / np.sqrt(len(more)):
+        before, after = (float(np.sqrt(np.mean(of))) / MM for of in (without, now))
+        yield Finding.warning(
+            "residual-model-worse",
+            f"The residual model makes held-out positions worse: {after:.3g} mm rms with it, and {before:.3g} mm with "
+            "the levels before it alone; leave its level out.",
+        )
+
+
+def _squared(residuals: Array) -> Array:
+    """Return the squared errors (N,) in m^2 of residuals (N, 3 or 6) of positions or poses."""
+    return np.asarray(np.sum(residuals[:, :3] ** 2, axis=1))

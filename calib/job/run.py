@@ -16,7 +16,7 @@ from calib.identification.initialisation.problem import initial_problem
 from calib.identification.total_differential import Trace, total_differential
 from calib.job.inputs import Inputs
 from calib.job.read import Progress
-from calib.job.residuals import residual_model
+from calib.job.residuals import residual_model, worse
 from calib.results.calibration import Calibration, LevelReport, Origin, assess
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
         ),
     )
     if known is not None:
+        found = replace(found, findings=(*found.findings, *worse(found.machine, fit, inputs.validate)))
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, found.judged_by["after"]))
     # What a fit leaves that explains nothing is nothing that joint terms make smaller.
     explained = all(check.passed for check in found.checks if check.name == "explained")

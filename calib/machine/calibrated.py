@@ -9,7 +9,7 @@ from calib.foundations.arguments import checked, own_fields, refuse_fields
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import MeasurementError, RobotError
 from calib.foundations.ranges import refuse_no_placement
-from calib.foundations.words import not_calibrated
+from calib.foundations.words import listed, not_calibrated
 from calib.identification.machine import Frames, Layout, Machine
 from calib.machine.residual_model import ResidualModel, shifted
 from calib.machine.tool_motion import tool_jacobian
@@ -114,6 +114,18 @@ class CalibratedMachine:
             uncertainty=known_too,
             in_urdf=in_urdf,
         )
+
+    def standing(self, setup: str | None, where: str) -> "CalibratedMachine":
+        """Return the same as :meth:`at`, for what depends on the set-up: which one is not guessed.
+
+        ``where``: what the machine was read from. Raises MeasurementError for an unknown set-up, and for None where
+        there are several.
+        """
+        if setup is None and len(self.bases) > 1:
+            raise MeasurementError(
+                f"{where}: was calibrated in several set-ups, {listed(self.bases)}; say which one is meant, by --setup."
+            )
+        return self.at(setup)
 
     @checked
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:

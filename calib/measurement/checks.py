@@ -25,6 +25,8 @@ _SLACK = 1e-3
 _BEYOND = 0.1
 # Degrees read as radians pass the limits by up to 57 times; twice the largest limit is beyond any turn counter.
 _FAR_BEYOND = 2.0
+# Where so many rows of a column fit as they are, its others may have been joined to them from another file.
+_MIXED = 0.25
 # A wrong header shows in many rows, a slip of the pen in one.
 _MANY = 0.1
 # Positions scatter by the robot's size: a factor of 1000 leaves more than a decade on both sides of these.
@@ -146,12 +148,16 @@ def _beyond_limits(m: Measurements, readings: Sequence[Reading]) -> Iterable[Fin
 
     if degrees.any():
         first, *others = (int(j) for j in np.flatnonzero(degrees))
+        # Of a column in degrees alone, few rows are within limits in rad.
+        within = int(np.sum(excess[:, first] <= slack[first]))
+        mixed = within >= _MIXED * len(m)
         also = f"; likewise in {', '.join(repr(readings[j].name) for j in others)}" if others else ""
         yield Finding(
             "error",
             "degrees-as-radians",
-            f"{farthest(first)}, and divided by 57.3 all its rows fit: the numbers seem to be degrees, "
-            f"not [rad]{also}.",
+            f"{farthest(first)}, and divided by 57.3 all its rows fit: "
+            + (f"{len(m) - within} of {len(m)} numbers, or all," if mixed else "the numbers")
+            + f" seem to be degrees, not [rad]{also}.",
         )
     for j in (int(j) for j in np.flatnonzero((beyond > slack) & ~degrees)):
         yield Finding(

@@ -676,3 +676,19 @@ def test_an_arm_of_few_joints_is_asked_for_positions() -> None:
     with pytest.raises(MeasurementError, match=r"mrad away\. An arm of 4 joints .* \(what = \"position\", --what"):
         targets.corrections(model, wanted)
     assert targets.corrections(model, wanted, what="position").reached.all()
+
+
+def test_a_joint_that_follows_others_beyond_its_limits_is_told() -> None:
+    head, joint, rest = machines.INLINE["mimic"].partition('<joint name="level"')
+    narrow = head + joint + rest.replace('lower="-2.6" upper="2.8"', 'lower="-0.2" upper="0.2"', 1)
+    model = model_of(machines.load(narrow, "tip"))
+    lift = [reading.name for reading in model.robot.readings].index("lift")
+    q = np.tile([0.3, 0.0, 0.4, 0.2, 0.5, 0.1], (2, 1))
+    q[:, lift] = 0.0, 0.5
+    found = commands.for_joint_targets(model, q)
+    assert found.reached.all()
+    assert found.reasons[0] == ""
+    # Such a limit is no limit of a reading, and may be written without care: a remark.
+    limits = "deg is beyond its limits, -11.45916 deg and 11.45916 deg; it follows others"
+    assert found.reasons[1].startswith("level at -2")
+    assert found.reasons[1].endswith(limits)

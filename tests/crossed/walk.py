@@ -265,9 +265,10 @@ def is_exported(walked: Walked, folder: Path) -> None:
             assert np.isfinite(found["lost"]) and np.isfinite(found["before"])
     calib.write_urdf(walked.outcome.fit, folder / "calibrated.urdf")
     scene = ("--scene", folder / "cell.html")
-    said = run("cell", walked.out, walked.out, "-o", folder / "cell.urdf", *scene, "--prefix", "b_", "--quiet")
+    of = ("--setup", walked.case.setups[-1]) if len(walked.case.setups) > 1 else ()
+    said = run("cell", walked.out, walked.out, "-o", folder / "cell.urdf", *scene, "--prefix", "b_", "--quiet", *of)
     assert said == (0, "", ""), said.err
-    placed = ("--placed-in", "instrument", "--quiet")
+    placed = ("--placed-in", "instrument", "--quiet", *of)
     said = run("cell", walked.out, walked.out, "-o", folder / "placed.urdf", *placed)
     assert said == (0, "", ""), said.err
 

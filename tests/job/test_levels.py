@@ -12,7 +12,9 @@ import calib
 from calib.compensation.controllers.export import judged_readings
 from calib.foundations.errors import JobError, MeasurementError
 from calib.job.inputs import load
+from calib.job.residuals import worse
 from calib.job.run import run
+from calib.machine.grid import SectorGrid
 from calib.results.calibration import Calibration
 from calib.results.folder import write_results
 
@@ -139,3 +141,19 @@ def test_what_a_urdf_without_the_loop_loses_is_told(outcome: Calibration, out: P
     alone = outcome.in_urdf.metrics["validation"]["position"].rms
     assert outcome.judged_by["after"]["position"].rms < alone < 0.3 * outcome.judged_by["before"]["position"].rms
     assert json.loads((out / "result.json").read_text())["in_urdf"]["metrics"]["validation"]["position"]["rms"] == alone
+
+
+def test_a_grid_that_adds_the_noise_of_its_nodes_alone_is_told(outcome: Calibration) -> None:
+    """Of the shipped case the grid is right; the same grid with other signs makes held-out positions worse."""
+    assert "residual-model-worse" not in {finding.code for finding in outcome.findings}
+    grid = outcome.machine.residual_model
+    assert isinstance(grid, SectorGrid)
+    wrong = replace(outcome.machine, residual_model=replace(grid, errors=-grid.errors))
+    held_out = load(CASE / "calibration.toml").validate
+    (said,) = worse(wrong, outcome.fit, held_out)
+    assert said.code == "residual-model-worse"
+    before, after = (1e3 * float(np.sqrt(np.mean(np.sum(r**2, axis=1)))) for r in (
+        np.concatenate([replace(outcome.machine, residual_model=None).residuals(data) for data in held_out]),
+        np.concatenate([wrong.residuals(data) for data in held_out]),
+    ))  # fmt: skip
+    assert f"{after:.3g} mm rms with it, and {before:.3g} mm with the levels before it alone" in said.sentence

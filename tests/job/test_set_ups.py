@@ -108,6 +108,17 @@ def test_an_arm_from_two_places(folder: Path) -> None:
         )
         again = machine.at(setup).predict(found, tool="ball")[:, :3, 3]
         np.testing.assert_allclose(again, placed, atol=1e-6)
+        placed_in = ("--placed-in", "instrument", "--setup", setup, "--json")
+        cell = run("cell", out, out, "-o", folder / f"{setup}.urdf", *placed_in)
+        np.testing.assert_allclose(json.loads(cell.out)["placement"], np.eye(4), atol=1e-9)
+    # Which one is meant is not guessed.
+    which = f"{out}: was calibrated in several set-ups, 'left', 'right'; say which one is meant, by --setup.\n"
+    said = run("cell", out, out, "-o", folder / "cell.urdf")
+    assert (said.code, said.err) == (1, f"Error: {which}")
+    options = ("--tool", "ball", "--frame", "instrument", "-q")
+    said = run("compensate", out, folder / "wanted.csv", "-o", folder / "guessed.csv", *options)
+    assert (said.code, said.err) == (1, f"Error: {which}")
+    assert not (folder / "cell.urdf").exists() and not (folder / "guessed.csv").exists()
     assert run("uncertainty", out, "--setup", "right", "--tool", "ball", "--samples", "20", "-q").code == 0
     unknown = run("uncertainty", out, "--setup", "moon", "--tool", "ball")
     assert (unknown.code, unknown.err.count("\n")) == (1, 1)

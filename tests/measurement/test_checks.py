@@ -96,6 +96,17 @@ def test_degrees_in_one_column_only() -> None:
     ]
 
 
+def test_degrees_in_some_rows_of_a_column() -> None:
+    """Rows of two files, one of them in degrees: who takes the whole column for degrees spoils the others."""
+    readings = sound_readings()
+    readings[: N // 2, 0] *= DEGREES[0]
+    within = int(np.sum(np.abs(readings[:, 0]) < 2.9))
+    ((severity, code, sentence),) = found(measurements(readings))
+    assert (severity, code) == ("error", "degrees-as-radians")
+    assert N // 2 <= within < N
+    assert sentence.endswith(f"all its rows fit: {N - within} of {N} numbers, or all, seem to be degrees, not [rad].")
+
+
 def test_radians_under_deg() -> None:
     u = np.random.default_rng(7).uniform(-1.0, 1.0, size=(N, 1))
     readings = np.hstack([u * 2.0, u - 1.5, u, 0.25 + 0.1 * u]) / DEGREES
