@@ -14,6 +14,7 @@ from calib.foundations.errors import OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.json_text import NotJsonError, validated
 from calib.identification.machine import Layout
+from calib.machine.run import Sha256, refuse_other_run
 from calib.machine.uncertainty import CAUSES, NoiseLevel, Uncertainty, Waves
 from calib.robot.robot import Robot
 
@@ -69,6 +70,7 @@ class UncertaintyFile(Strict):
     """
 
     schema_: Literal[1, 2] = Field(alias="schema")
+    run: Sha256 | None = None
     identified: dict[str, _Range]
     position: NoiseEntry | None
     orientation: NoiseEntry | None
@@ -79,12 +81,13 @@ class UncertaintyFile(Strict):
     null_basis: tuple[tuple[_Number, ...], ...]
 
 
-def uncertainty_json(uncertainty: Uncertainty, robot: Robot) -> str:
-    """Return ``uncertainty.json`` as text, one line for every row of the matrices."""
+def uncertainty_json(uncertainty: Uncertainty, robot: Robot, run: str | None = None) -> str:
+    """Return ``uncertainty.json`` of a run's results as text, one line for every row of the matrices."""
     names = [reading.name for reading in robot.readings]
     ranges = [(float(low), float(high)) for low, high in uncertainty.identified]
     entries = {
         "schema": 2,
+        **({} if run is None else {"run": run}),
         "identified": dict(zip(names, ranges, strict=True)),
         "position": _plain(uncertainty.position),
         "orientation": _plain(uncertainty.orientation),
@@ -134,6 +137,7 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
     except ValidationError as e:
         place = ".".join(map(str, e.errors(include_url=False)[0]["loc"]))[:100]
         raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at {place or 'its start'}.") from e
+    refuse_other_run(path, found.run)
     size = Layout(robot, setups, tools).size
     names = [reading.name for reading in robot.readings]
     factor, null_basis = (_matrix(rows) for rows in (found.factor, found.null_basis))
