@@ -144,6 +144,27 @@ def test_options_without_effect_are_refused(folder: Path, typed: str, sentence: 
     assert tree(folder) == before
 
 
+EMPTY = [
+    (("fleet", JOB, "-o", ""), "--out"),
+    (("calibrate", JOB, "--out="), "--out"),
+    (("calibrate", ""), "JOB"),
+    (("init", "arm_cmm.urdf", ""), "DATA..."),
+    (("init", "arm_cmm.urdf", "validation.csv", "--output", ""), "--output"),
+    (("plan", JOB, "-o", "new.csv", "--mesh-root", ""), "--mesh-root"),
+    (("view", ""), "FOLDER"),
+]
+
+
+@pytest.mark.parametrize(("typed", "what"), EMPTY, ids=[f"{typed[0]} {what}" for typed, what in EMPTY])
+def test_an_empty_text_is_not_the_current_folder(folder: Path, typed: tuple[str, ...], what: str) -> None:
+    before = tree(folder)
+    said = run(*typed)
+    assert (said.code, said.out) == (2, "")
+    assert f"Invalid value for '{what}'" in said.err
+    assert said.err.endswith(": is empty; name a file or a folder.\n")
+    assert tree(folder) == before
+
+
 def test_folders_of_meshes_that_are_none(folder: Path) -> None:
     said = run("plan", JOB, "-o", "new.csv", "--mesh-root", "nowhere")
     assert said == (1, "", "Error: --mesh-root: 'nowhere' is not a folder.\n")

@@ -95,7 +95,8 @@ def plan(
     makes candidates that a tracker sees and where the arm does not touch itself. ``measurement``: how poses are
     measured, and where the tool must be accurate; by default positions by a tracker. ``measured`` (M, nr): poses
     measured already, which the new ones complete. ``target`` in m: also find how many poses keep the forecast
-    error below it.
+    error below it. ``progress`` is told how many of how many designs are made: the sequence that they begin with, and
+    one for every number of poses that is forecast.
 
     Raises JobError when there are fewer candidates than ``count``, or when they determine nothing; RobotError for
     candidates that are no readings.
@@ -150,13 +151,16 @@ def planned(
     by_error = judged if criterion == "I" else design.space(of_candidates, "I", of_working, given, prior)
     counts = _counts(count, len(candidates), 0 if given is not None else -(-judged.seen // 3) + 1)
     # The best sequence of many begins with that of few.
+    progress(0, len(counts) + 1)
     order = design.sequence(judged, max(counts))
-    found = design.choose(judged, count, order=order, progress=progress)
+    designs = {}
+    for done, n in enumerate(counts, start=1):
+        progress(done, len(counts) + 1)
+        designs[n] = design.choose(judged, n, order=order)
+    progress(len(counts) + 1, len(counts) + 1)
+    found = designs[count]
     floor = design.parts_of(by_error, range(len(candidates)))[1] + design.unseen(by_error)
-    forecasts = tuple(
-        _forecast(by_error, floor, n, found if n == count else design.choose(judged, n, order=order), seed)
-        for n in counts
-    )
+    forecasts = tuple(_forecast(by_error, floor, n, designs[n], seed) for n in counts)
     random = [_indices(judged, some) for some in design.random_sets(judged, count, _RANDOM_DESIGNS, seed)]
     return Plan(
         read_only(candidates[list(_near_each_other(candidates, found.chosen))]),

@@ -2,11 +2,13 @@
 
 import contextlib
 from collections.abc import Callable, Iterable, Mapping
+from copy import copy
 from dataclasses import dataclass, is_dataclass
 from functools import cache, update_wrapper
 from importlib import import_module
 from inspect import Parameter, Signature, signature
-from typing import TYPE_CHECKING, Any, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 
 import typer
 from typer.core import TyperGroup
@@ -104,13 +106,34 @@ def _spread(function: Callable[..., None]) -> Callable[..., None]:
 
 def _options(one: Parameter) -> list[Parameter]:
     kind: Callable[..., Any] = one.annotation
-    return _bundled(kind) if is_dataclass(kind) else [one.replace(kind=Parameter.KEYWORD_ONLY)]
+    return _bundled(kind) if is_dataclass(kind) else [_with_a_name(one).replace(kind=Parameter.KEYWORD_ONLY)]
 
 
 @cache
 def _bundled(kind: Callable[..., Any]) -> list[Parameter]:
     # Each is given by its name: those without a default may follow others.
-    return [option.replace(kind=Parameter.KEYWORD_ONLY) for option in signature(kind).parameters.values()]
+    every = map(_with_a_name, signature(kind).parameters.values())
+    return [option.replace(kind=Parameter.KEYWORD_ONLY) for option in every]
+
+
+def _with_a_name(option: Parameter) -> Parameter:
+    """Return an option that takes no empty text for a path: of a shell's variable that is not set, it is ``.``."""
+    kind, *details = get_args(option.annotation) or (None,)
+    if not details or not _of_paths(kind):
+        return option
+    info = copy(details[0])
+    info.parser = _path
+    return option.replace(annotation=Annotated[kind, info])
+
+
+def _of_paths(kind: object) -> bool:
+    return kind is Path or any(map(_of_paths, get_args(kind)))
+
+
+def _path(text: str | Path) -> Path:
+    if text == "":
+        raise typer.BadParameter("is empty; name a file or a folder.")
+    return Path(text)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,11 @@ from typing import Annotated, Literal
 import typer
 
 from calib.cli.application import IN_WORDS, PREPARE, Telling, command
-from calib.cli.options import refuse_idle, written
+from calib.cli.options import option, refuse_idle, written
 from calib_start import loading
 
+# A chessboard of an odd number either way, or an even one, looks the same upside down.
+_SQUARES = {True: "7x5", False: "8x5"}
 _MARKER = "22 mm"
 _DICTIONARY = "DICT_4X4_50"
 
@@ -17,7 +19,9 @@ _DICTIONARY = "DICT_4X4_50"
 def board(
     out: Annotated[Path, written("FOLDER", "New folder for what is to be printed.")],
     kind: Annotated[str, typer.Option("--kind", help="charuco or chessboard.")] = "charuco",
-    squares: Annotated[str, typer.Option("--squares", help="Squares across and down, like 7x5.")] = "7x5",
+    squares: Annotated[
+        str | None, option("--squares", "NxM", "Squares across and down.  [default: 7x5; 8x5 of a chessboard]")
+    ] = None,
     square: Annotated[str, typer.Option("--square", help="Side of a square.")] = "30 mm",
     marker: Annotated[str, typer.Option("--marker", help="Side of a marker.")] = _MARKER,
     dictionary: Annotated[
@@ -44,7 +48,7 @@ def board(
         refuse_idle("a chessboard has no markers.", given)
     print_ = Print(
         _kind(kind),
-        _counts(squares),
+        _counts(_SQUARES[with_markers] if squares is None else squares),
         parse_within(square, allowed, "--square"),
         parse_within(marker, allowed, "--marker") if with_markers else 0.0,
         dictionary if with_markers else "",

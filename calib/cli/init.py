@@ -1,6 +1,8 @@
 """``calib init``: from a URDF and files as they are to a job."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -36,27 +38,32 @@ def init(
         from calib.job.inputs import STEPS_OF_LOADING
         from calib.job.looking import loaded, looked_at
     refuse_taken(output)
-    if xacro:
-        urdf = str(_expanded(Path(urdf), output))
-    found = proposed(urdf, data, said.answers(), ask=not (yes or telling.as_json or telling.quiet))
-    with telling.progress(STEPS_OF_LOADING + 1) as say:
-        looked = looked_at(loaded(found, output, say), say)
-    write_new(output, found.job(output.absolute().parent))
+    with _expanded(Path(urdf), output) if xacro else nullcontext(urdf) as robot:
+        found = proposed(robot, data, said.answers(), ask=not (yes or telling.as_json or telling.quiet))
+        with telling.progress(STEPS_OF_LOADING + 1) as say:
+            looked = looked_at(loaded(found, output, say), say)
+        write_new(output, found.job(output.absolute().parent))
     tell_check(telling, looked, found.reasons, {"job": str(output)})
     if not telling.as_json:
         telling.tell(dict, lambda: [f"{output} is written; calib calibrate {output} -o out/ goes on."])
 
 
-def _expanded(source: Path, output: Path) -> Path:
-    """Write the URDF of a xacro file beside the job, and return where; one that an earlier run has left is as good."""
+@contextmanager
+def _expanded(source: Path, output: Path) -> Iterator[str]:
+    """Write the URDF of a xacro file beside the job, and give where; without a job it does not stay.
+
+    One that an earlier run has left is as good.
+    """
     from calib.foundations.errors import OutputError
-    from calib.foundations.files import read_bytes, write_new
+    from calib.foundations.files import read_bytes, written_first
     from calib.job.xacro import expanded
 
     name = source.name.removesuffix(".xacro").removesuffix(".urdf")
     urdf, made = output.parent / f"{name}.urdf", expanded(source)
     if not os.path.lexists(urdf):
-        write_new(urdf, made)
-    elif read_bytes(urdf, OutputError) != made:
+        with written_first(urdf, made):
+            yield str(urdf)
+        return
+    if read_bytes(urdf, OutputError) != made:
         raise OutputError(f"{urdf}: already exists, and is not what {source} makes; move it, or take another folder.")
-    return urdf
+    yield str(urdf)

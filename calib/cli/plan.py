@@ -98,15 +98,17 @@ def plan(
             say("reading the collision shapes")
         collision, more = given.collision(robot, roots, wanted=collisions)
         notes += more
-        say("sampling candidates")
+        if not given.is_count(candidates):
+            say("looking at the candidates")
         if given.is_count(candidates):
-            found = random_candidates(robot, frames, given.parsed_count(candidates), sight, collision, seed=seed)
+            found = random_candidates(
+                robot, frames, given.parsed_count(candidates), sight, collision, seed=seed, progress=given.sampling(say)
+            )
         else:
             found = possible(
                 robot, frames, given.different_readings(Path(candidates), robot, columns), sight, collision
             )
             given.refuse_few(candidates, count, found)
-        say(f"choosing {count} of {len(found.readings)} poses")
         planned = plan_of(
             model,
             count,
@@ -115,6 +117,7 @@ def plan(
             criterion=criterion,
             measured=done,
             target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
+            progress=given.choosing(say, f"{count} of {len(found.readings)} poses"),
         )
         write_new(out, given.pose_table(robot, planned.readings))
     given.tell_plan(telling, planned, found, notes, ("candidates", "poses"), out, target, more=measured is not None)

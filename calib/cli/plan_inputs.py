@@ -1,10 +1,10 @@
 """What ``calib plan`` is told, in words and files, as the planner takes it; and what it tells."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,9 @@ from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.sources import EXAMPLE, examples_folder
 from calib.robot.transmission import lacking
+
+if TYPE_CHECKING:
+    from calib.presentation.console import Steps
 
 _NUMBER = re.compile(r"[+-]?[0-9]+", re.ASCII)
 
@@ -213,6 +216,27 @@ def tell_plan(
     )
 
 
+def sampling(say: "Steps") -> Callable[[int, int], None]:
+    """Return what tells how many candidates there are."""
+
+    def told(done: int, of: int) -> None:
+        say(f"sampling candidates, {done} of {of} found")
+        say.expect(1)
+
+    return told
+
+
+def choosing(say: "Steps", what: str) -> Callable[[int, int], None]:
+    """Return what tells how many designs are made."""
+
+    def told(done: int, of: int) -> None:
+        if done < of:
+            say(f"choosing {what}")
+            say.expect(of - done - 1)
+
+    return told
+
+
 def plan_photographs(
     job: str,
     out: Path,
@@ -246,7 +270,6 @@ def plan_photographs(
         touching, notes = collision(fit.robot, (*inputs.mesh_roots, *mesh_roots), wanted=collisions)
         say("sampling views")
         found = view_candidates(views, drawn, touching, seed=seed)
-        say(f"choosing {count} of {len(found.readings)} views")
         planned = plan_views(
             views,
             count,
@@ -254,6 +277,7 @@ def plan_photographs(
             criterion=criterion,
             working=right,
             target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
+            progress=choosing(say, f"{count} of {len(found.readings)} views"),
         )
         write_new(out, pose_table(fit.robot, planned.readings))
     tell_plan(telling, planned, found, notes, ("views", "photographs to take"), out, target, more=True)

@@ -14,7 +14,8 @@ from calib.foundations.brief import brief
 from calib.foundations.choices import PlacedIn
 from calib.foundations.errors import JobError
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.model_file import MODEL_FILE, load_machine
+from calib.machine.model_file import load_machine
+from calib.machine.run import MODEL_FILE
 from calib.machine.urdf import calibrated_urdf
 from calib.robot.cell import Cell, compose
 from calib.robot.urdf import parse_urdf, read_urdf

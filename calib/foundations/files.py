@@ -191,14 +191,20 @@ def write_new(path: Path, data: bytes | str) -> None:
 
 def write_together(files: Mapping[Path, bytes | str]) -> None:
     """Write files that are not there yet, each as :func:`write_new`; on any error none of them stays."""
-    written: list[tuple[Path, os.stat_result]] = []
-    try:
+    with contextlib.ExitStack() as all_of_them:
         for path, data in files.items():
-            written.append((path, write_atomically(path, data, new=True)))
+            all_of_them.enter_context(written_first(path, data))
+
+
+@contextlib.contextmanager
+def written_first(path: Path, data: bytes | str) -> Iterator[None]:
+    """Write a file that is not there yet, as :func:`write_new`; it stays only if the block ends without an error."""
+    ours = write_atomically(path, data, new=True)
+    try:
+        yield
     except BaseException:
-        for path, ours in written:
-            with contextlib.suppress(OSError), opened_folder(path.parent) as folder:
-                _take_back(path.name, folder, ours)
+        with contextlib.suppress(OSError), opened_folder(path.parent) as folder:
+            _take_back(path.name, folder, ours)
         raise
 
 

@@ -12,7 +12,8 @@ from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.units import MM
 from calib.job.schema import InstrumentSection
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.model_file import MODEL_FILE, NOMINAL_FILE, load_machine, residual_file
+from calib.machine.model_file import NOMINAL_FILE, load_machine, residual_file
+from calib.machine.run import MODEL_FILE
 from calib.machine.touching import TouchingArm
 from calib.measurement.checks import Finding
 from calib.measurement.conditions import refuse_lacking

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from calib.foundations.errors import OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.folders import reading_folder
+from calib.machine.run import refuse_other_run
 from calib.measurement.kinds import Kind
 from calib.measurement.table import AS_WRITTEN, Columns
 from calib.results.folder import JOB_FILE
@@ -30,6 +31,7 @@ class _Job(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     measurements: tuple[_Table, ...]
+    run: str | None = None
 
 
 def columns_alike(tables: "Iterable[MeasurementsSection | _Table]") -> Columns:
@@ -55,8 +57,9 @@ def columns_of_results(folder: Path, observes: Kind) -> Columns:
         if not path.exists():
             return AS_WRITTEN
         source = read_bytes(path, OutputError, LARGEST_JSON)
-    try:
-        tables = _Job.model_validate_json(source).measurements
-    except ValidationError as e:
-        raise OutputError(f"{path}: is not a job of this tool.") from e
-    return columns_alike(table for table in tables if table.observes == observes)
+        try:
+            job = _Job.model_validate_json(source)
+        except ValidationError as e:
+            raise OutputError(f"{path}: is not a job of this tool.") from e
+        refuse_other_run(path, job.run)
+    return columns_alike(table for table in job.measurements if table.observes == observes)

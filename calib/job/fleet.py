@@ -15,7 +15,8 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import Any, NoReturn
 from unicodedata import normalize
 
 from calib.foundations.errors import CalibError, JobError, OutputError
@@ -32,6 +33,8 @@ from calib.robot.sources import EXAMPLE, resolve
 _PATIENCE = 20.0
 # How often a worker looks whether its parent is still there, and we whether the cluster is, in s.
 _LOOK = 1.0
+# As a shell has it.
+_BY_SIGNAL = 128
 _DIED = "{}: its process died; the memory may not suffice."
 # A job that is called so, as those in robots/ are, says nothing of its arm; its folder does.
 _USUAL = re.compile(r"calibration(?![^_.-])")
@@ -229,7 +232,7 @@ def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[D
     started = {"initializer": _serve, "initargs": (os.getpid(),)}
 
     loky = joblib.parallel_config("loky", n_jobs=count, inner_max_num_threads=1, **started)
-    with loky, _ending_quietly(), warnings.catch_warnings():
+    with loky, _ending_in_order(), _ending_quietly(), warnings.catch_warnings():
         # Whoever interrupts knows that tasks are left undone.
         warnings.filterwarnings("ignore", r".*tasks (which were still|have been successfully)")
         try:
@@ -237,6 +240,27 @@ def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[D
                 yield finished
         finally:
             _end_workers()
+
+
+@contextmanager
+def _ending_in_order() -> Iterator[None]:
+    """Let SIGTERM end the block as Ctrl-C does, so that it ends its processes and takes back what they shared.
+
+    Else the helper of joblib, which lives longer, tells of all that was left. The exit code is the one of the signal.
+    """
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+
+    def told(number: int, _: FrameType | None) -> NoReturn:
+        signal.signal(number, signal.SIG_DFL)  # who asks twice does not wait
+        raise SystemExit(_BY_SIGNAL + number)
+
+    signal.signal(signal.SIGTERM, told)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextmanager

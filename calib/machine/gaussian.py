@@ -298,8 +298,8 @@ def _trained(
 # ---- files
 
 
-def gaussian_bytes(known: GaussianResiduals) -> bytes:
-    """Return a process as an npz file: its rows and its kernel, the same bytes for the same process."""
+def gaussian_bytes(known: GaussianResiduals, run: str | None = None) -> bytes:
+    """Return a process as an npz file, of a run's results: rows and kernel, the same bytes for the same process."""
     kernel = known.kernel
     arrays = {
         "points": known.points,
@@ -308,7 +308,7 @@ def gaussian_bytes(known: GaussianResiduals) -> bytes:
         "scales": kernel.scales,
         "noise": np.array(kernel.noise),
     }
-    return residual_bytes(known.frame, known.joints, known.readings, arrays)
+    return residual_bytes(known.frame, known.joints, known.readings, arrays, run)
 
 
 def load_gaussian(path: str | Path, robot_readings: Sequence[Reading] | None = None) -> GaussianResiduals:

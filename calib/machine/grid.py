@@ -20,6 +20,7 @@ from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import DISPLAY_OF
 from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
+from calib.machine.run import refuse_other_run
 from calib.robot.robot import Reading
 
 Frame = Literal["base", "tip"]
@@ -31,6 +32,7 @@ _OFF_GRID = 1e-3
 _ROUNDING = 1e-9
 _MOST_NODES = 10_000_000
 SCHEMA = 1
+_RUN = "run"  # in files of results
 _KEYS = ("schema", "frame", "joints", "dimensions", "reference", "axes", "lengths", "errors", "measured")
 
 
@@ -366,8 +368,8 @@ def _nearest_measured(measured: BoolArray) -> IntArray:
 # ---- files
 
 
-def grid_bytes(grid: SectorGrid) -> bytes:
-    """Return a grid as an npz file: plain arrays, the same bytes for the same grid."""
+def grid_bytes(grid: SectorGrid, run: str | None = None) -> bytes:
+    """Return a grid as an npz file, of a run's results: plain arrays, the same bytes for the same grid."""
     arrays = {
         "reference": grid.reference,
         "axes": np.concatenate(grid.axes),
@@ -375,11 +377,15 @@ def grid_bytes(grid: SectorGrid) -> bytes:
         "errors": grid.errors,
         "measured": grid.measured,
     }
-    return residual_bytes(grid.frame, grid.joints, grid.readings, arrays)
+    return residual_bytes(grid.frame, grid.joints, grid.readings, arrays, run)
 
 
 def residual_bytes(
-    frame: Frame, joints: Sequence[int], readings: Sequence[tuple[str, str]], arrays: Mapping[str, npt.NDArray[Any]]
+    frame: Frame,
+    joints: Sequence[int],
+    readings: Sequence[tuple[str, str]],
+    arrays: Mapping[str, npt.NDArray[Any]],
+    run: str | None,
 ) -> bytes:
     """Return a residual model as an npz file: the head that :func:`head_of` reads, then its own ``arrays``."""
     head: dict[str, Any] = {
@@ -387,6 +393,7 @@ def residual_bytes(
         "frame": frame,
         "joints": np.array(joints, np.int64),
         "dimensions": readings,
+        **({} if run is None else {_RUN: run}),
     }
     buffer = io.BytesIO()
     np.savez(buffer, **head, **dict[str, Any](arrays))
@@ -419,13 +426,23 @@ def load_residuals(
     """Read a residual model of these ``keys``. ``names``: what it is, and what it is of a robot, for messages."""
     data = read_bytes(Path(path), OutputError, LARGEST_FILE)
     try:
-        known = made(arrays_of(data, keys))
+        arrays = arrays_of(data, keys, (_RUN,))
+        run = _run_in(arrays.pop(_RUN, None))
+        known = made(arrays)
     except NotReadableError as e:
         raise OutputError(f"{path}: is not {names[0]} of this toolkit: {e}.") from e
     if robot_readings is not None and known.readings != tuple((r.name, r.dimension) for r in robot_readings):
         theirs, ours = (", ".join(name for name, _ in known.readings), ", ".join(r.name for r in robot_readings))
         raise OutputError(f"{path}: is {names[1]} a robot with the joints {theirs}, and this one has {ours}.")
+    refuse_other_run(Path(path), run)
     return known
+
+
+def _run_in(array: npt.NDArray[Any] | None) -> str | None:
+    """Return the run that a residual model names, if it does. Raises NotReadableError for what is no name."""
+    if array is not None and (array.shape != () or array.dtype.kind != "U"):
+        raise NotReadableError(f"{_RUN} has a wrong type")
+    return None if array is None else str(array)
 
 
 def head_of(

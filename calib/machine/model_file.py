@@ -28,6 +28,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import GaussianResiduals, gaussian_bytes, load_gaussian
 from calib.machine.grid import SectorGrid, grid_bytes, load_grid
 from calib.machine.residual_model import ResidualModel
+from calib.machine.run import MODEL_FILE, Sha256, run_name, text_digest
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE, Strict, load_uncertainty, uncertainty_json
 from calib.machine.urdf import calibrated_urdf
 from calib.measurement.measurements import ONLY_SETUP
@@ -38,7 +39,6 @@ from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
 from calib.robot.terms import NAMED, JointTerm, kind_of
 from calib.robot.urdf import LARGEST_URDF, parse_urdf
 
-MODEL_FILE = "model.json"
 NOMINAL_FILE: Final = "nominal.urdf"
 CALIBRATED_FILE = "calibrated.urdf"
 # Geometry of ``model.json``, for whoever adds its joint terms or closes its loops.
@@ -149,13 +149,17 @@ class GeometryEntry(Strict):
 class ModelFile(Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad.
 
+    ``run``: of whose results it is one, as the files beside it name it; ``urdf_sha256``: of ``urdf``, its lines ended
+    by a newline alone. Earlier versions wrote neither.
     ``base``: in the set-up named ``setup``; ``setups``: the base in the others; ``loads``: gravity and payload in those
     where they are not ``gravity`` and ``payload``. ``links``: the tip and other links that
     the robot was loaded with; ``tool_tips``: which of them carries a tool that is not on the tip.
     """
 
     schema_: Literal[1] = Field(alias="schema")
+    run: Sha256 | None = None
     urdf: Literal["nominal.urdf"]
+    urdf_sha256: Sha256 | None = None
     base_link: str
     tip: str
     joints: tuple[JointEntry, ...]
@@ -189,12 +193,14 @@ def residual_file(known: ResidualModel | None) -> ResidualFile | None:
     return GRID_FILE if isinstance(known, SectorGrid) else GAUSSIAN_FILE
 
 
-def model_file(machine: CalibratedMachine) -> ModelFile:
-    """Return the contents of ``model.json`` of a machine."""
+def model_file(machine: CalibratedMachine, run: str | None = None) -> ModelFile:
+    """Return the contents of ``model.json`` of a machine, as one of the results of a run."""
     robot, deviations, geometry = machine.robot, machine.deviations, machine.in_urdf
     return ModelFile(
         schema=1,
+        run=run,
         urdf=NOMINAL_FILE,
+        urdf_sha256=text_digest(robot.urdf.source),
         base_link=robot.base,
         tip=robot.tip,
         **_geometry_of(machine),
@@ -288,6 +294,8 @@ def _loaded(folder: Path) -> CalibratedMachine:
     _refuse_other_joints(robot, model.joints, path)
     if _transmission(robot) != model.transmission:
         raise OutputError(f"{path}: its couplings are not those of {NOMINAL_FILE}.")
+    if model.urdf_sha256 not in (None, text_digest(robot.urdf.source)):
+        raise OutputError(f"{urdf}: is not the URDF of {MODEL_FILE} beside it, as their SHA-256 differ.")
     deviations = replace(_deviations(model.joints), terms=read_only([term.coefficient for term in model.terms]))
     base = read_only(model.base.placement)
     tools = {name: read_only(tool.placement) for name, tool in model.tools.items()}
@@ -361,10 +369,20 @@ def _nonzero(names: list[str], row: Array) -> dict[str, float]:
     return {name: float(value) for name, value in zip(names, row, strict=True) if value != 0.0}
 
 
-def model_json(machine: CalibratedMachine) -> str:
-    """Return ``model.json`` of a machine as text."""
-    contents: dict[str, Any] = model_file(machine).model_dump(by_alias=True)
+def model_json(machine: CalibratedMachine, run: str | None = None) -> str:
+    """Return ``model.json`` of a machine as text, as one of the results of a run."""
+    contents: dict[str, Any] = model_file(machine, run).model_dump(by_alias=True)
     return json.dumps(contents, indent=2, allow_nan=False) + "\n"
+
+
+def run_of(machine: CalibratedMachine) -> str:
+    """Return the name of the run that a machine is the result of.
+
+    Of its numbers, so that the same calibration has the same name. What else a run writes follows from these.
+    """
+    known, residuals = machine.uncertainty, machine.residual_model
+    arrays = (None if known is None else known.factor, getattr(residuals, "errors", None))
+    return run_name([model_json(machine).encode(), *(b"" if array is None else array.tobytes() for array in arrays)])
 
 
 def machine_files(machine: CalibratedMachine) -> dict[str, bytes | str]:
@@ -373,19 +391,20 @@ def machine_files(machine: CalibratedMachine) -> dict[str, bytes | str]:
     Raises OutputError when the URDF cannot hold the deviations.
     """
     robot, known, geometry = machine.robot, machine.residual_model, machine.geometry
+    run = run_of(machine)
     files: dict[str, bytes | str] = {
         CALIBRATED_FILE: calibrated_urdf(geometry.robot, geometry.deviations),
         NOMINAL_FILE: robot.urdf.source,
-        MODEL_FILE: model_json(machine),
+        MODEL_FILE: model_json(machine, run),
     }
     if geometry is not machine:
         files[GEOMETRY_FILE] = calibrated_urdf(robot, machine.deviations)
     if machine.uncertainty is not None:
-        files[UNCERTAINTY_FILE] = uncertainty_json(machine.uncertainty, robot)
+        files[UNCERTAINTY_FILE] = uncertainty_json(machine.uncertainty, robot, run)
     if isinstance(known, SectorGrid):
-        files[GRID_FILE] = grid_bytes(known)
+        files[GRID_FILE] = grid_bytes(known, run)
     elif isinstance(known, GaussianResiduals):
-        files[GAUSSIAN_FILE] = gaussian_bytes(known)
+        files[GAUSSIAN_FILE] = gaussian_bytes(known, run)
     elif known is not None:
         raise OutputError(
             f"a residual model of the type {type(known).__name__} has no file; allowed are grids and "

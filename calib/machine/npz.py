@@ -5,7 +5,7 @@ import math
 import re
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -29,9 +29,10 @@ class NotReadableError(ValueError):
     """What is wrong with the contents of a file."""
 
 
-def arrays_of(data: bytes, keys: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
+def arrays_of(data: bytes, keys: Sequence[str], allowed: Collection[str] = ()) -> dict[str, npt.NDArray[Any]]:
     """Return the arrays of an npz file that holds these keys and nothing else: integers, numbers, truths, texts.
 
+    ``allowed``: keys that it may hold beside them.
     Raises NotReadableError with the reason.
     """
     if data.count(_ENTRY) > _MOST_ENTRIES:  # before the archive's own list of them takes memory
@@ -39,7 +40,9 @@ def arrays_of(data: bytes, keys: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             entries = archive.infolist()
-            if sorted(entry.filename for entry in entries) != sorted(f"{key}.npy" for key in keys):
+            optional = {f"{key}.npy" for key in allowed}
+            names = sorted(entry.filename for entry in entries)
+            if len(set(names)) < len(names) or sorted({*names} - optional) != sorted(f"{key}.npy" for key in keys):
                 raise NotReadableError(f"it must hold {', '.join(keys)} and nothing else")
             if sum(entry.file_size for entry in entries) > LARGEST_FILE:
                 raise NotReadableError(f"it unpacks to more than {LARGEST_FILE} bytes")

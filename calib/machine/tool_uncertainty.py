@@ -291,17 +291,19 @@ def uncertainty_map(
         machine.robot, samples, limits, (machine.deviations,), determinant=closure_determinant, seed=seed
     )
     view = _View(machine.of(machine.tool_named(tool)), tool, base=base, tool_pose=True)
-    errors, found = _Errors(view, machine.known_uncertainty), list[ToolUncertainty]()
+    errors, done = _Errors(view, machine.known_uncertainty), 0
+    parts: list[tuple[Array, ...]] = []
     for chunk in np.array_split(readings, max(samples // _BLOCK, 1)):
-        found.append(_blocks(errors, chunk, ordinary(chunk)))
-        progress(sum(len(f.null_space_rms) for f in found), samples)
-    return UncertaintyMap(
-        read_only(readings),
-        read_only((view.machine.tips(readings, ordinary(readings)) @ view.T_tool)[:, :3, 3]),
-        read_only(np.concatenate([np.stack([f.position, f.orientation], axis=1) for f in found])),
-        read_only(np.concatenate([f.null_space_rms for f in found])),
-        {cause: read_only(np.concatenate([f.budget[cause] for f in found])) for cause in CAUSES},
-    )
+        usual = ordinary(chunk)
+        found = _blocks(errors, chunk, usual)
+        # Of many poses the covariances, and the placements of all joints, are what takes memory.
+        positions = (view.machine.tips(chunk, usual) @ view.T_tool)[:, :3, 3].copy()
+        sigmas = np.stack([found.position, found.orientation], axis=1)
+        parts.append((positions, sigmas, found.null_space_rms, *(found.budget[cause] for cause in CAUSES)))
+        done += len(chunk)
+        progress(done, samples)
+    positions, sigmas, unseen, *budget = (read_only(np.concatenate(part)) for part in zip(*parts, strict=True))
+    return UncertaintyMap(read_only(readings), positions, sigmas, unseen, dict(zip(CAUSES, budget, strict=True)))
 
 
 def tool_motions(

@@ -4,23 +4,32 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.json_text import NotJsonError, validated
 from calib.identification.machine import Layout
+from calib.machine.run import Sha256, refuse_other_run
 from calib.machine.uncertainty import CAUSES, NoiseLevel, Uncertainty, Waves
 from calib.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 UNCERTAINTY_FILE = "uncertainty.json"
 
 
-_Number = Annotated[float, Field(ge=-1e12, le=1e12)]
+# In m and rad, as model.json has it: beyond any machine. Of a closure determinant, in products of these.
+_LARGEST, _LARGEST_DETERMINANT = 1e6, 1e12
+_Number = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
+_Size = Annotated[float, Field(ge=0.0, le=_LARGEST)]
+# As much as rounding adds to the model's part of a noise that has no other.
+_ROUNDING = 1e-9
 
 
 def _ordered(ends: tuple[float, float]) -> tuple[float, float]:
@@ -39,11 +48,20 @@ class Strict(BaseModel):
 
 
 class NoiseEntry(Strict):
-    """A noise level; ``degrees_of_freedom`` is null where nothing was estimated."""
+    """A noise level; ``degrees_of_freedom`` is null where nothing was estimated.
 
-    model: Annotated[_Number, Field(ge=0.0)]
-    total: Annotated[_Number, Field(ge=0.0)]
-    degrees_of_freedom: Annotated[_Number, Field(gt=0.0)] | None
+    Else it is 1 or more: what is estimated from less is no noise, and any error would be within it.
+    """
+
+    model: _Size
+    total: _Size
+    degrees_of_freedom: Annotated[float, Field(ge=1.0, le=1e9)] | None
+
+    @model_validator(mode="after")
+    def _is_no_less_than_its_part(self) -> "NoiseEntry":
+        if self.model > self.total * (1.0 + _ROUNDING):
+            raise ValueError(f"its model part, {self.model:g}, is above its total, {self.total:g}")
+        return self
 
     @property
     def level(self) -> NoiseLevel:
@@ -56,8 +74,8 @@ class WavesEntry(Strict):
     """Errors that follow the readings, as :class:`calib.machine.uncertainty.Waves` has them."""
 
     # Readings are at most 1e4; of much shorter periods nothing is left of the phase but rounding.
-    period: dict[str, Annotated[_Number, Field(ge=1e-6)]]
-    width: dict[str, Annotated[tuple[Annotated[_Number, Field(ge=0.0)], ...], Field(min_length=1, max_length=100)]]
+    period: dict[str, Annotated[float, Field(ge=1e-6, le=_LARGEST)]]
+    width: dict[str, Annotated[tuple[_Size, ...], Field(min_length=1, max_length=100)]]
 
 
 class UncertaintyFile(Strict):
@@ -69,22 +87,24 @@ class UncertaintyFile(Strict):
     """
 
     schema_: Literal[1, 2] = Field(alias="schema")
+    run: Sha256 | None = None
     identified: dict[str, _Range]
     position: NoiseEntry | None
     orientation: NoiseEntry | None
     causes: dict[Literal["instrument", "parameters", "model"], Annotated[int, Field(ge=0)]] | None = None
     waves: WavesEntry | None = None
-    closure_determinant: _Number | None = None
+    closure_determinant: Annotated[float, Field(ge=-_LARGEST_DETERMINANT, le=_LARGEST_DETERMINANT)] | None = None
     factor: tuple[tuple[_Number, ...], ...]
     null_basis: tuple[tuple[_Number, ...], ...]
 
 
-def uncertainty_json(uncertainty: Uncertainty, robot: Robot) -> str:
-    """Return ``uncertainty.json`` as text, one line for every row of the matrices."""
+def uncertainty_json(uncertainty: Uncertainty, robot: Robot, run: str | None = None) -> str:
+    """Return ``uncertainty.json`` of a run's results as text, one line for every row of the matrices."""
     names = [reading.name for reading in robot.readings]
     ranges = [(float(low), float(high)) for low, high in uncertainty.identified]
     entries = {
         "schema": 2,
+        **({} if run is None else {"run": run}),
         "identified": dict(zip(names, ranges, strict=True)),
         "position": _plain(uncertainty.position),
         "orientation": _plain(uncertainty.orientation),
@@ -132,8 +152,10 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
     except NotJsonError as e:
         raise OutputError(f"{path}: {e}.") from e
     except ValidationError as e:
-        place = ".".join(map(str, e.errors(include_url=False)[0]["loc"]))[:100]
-        raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at {place or 'its start'}.") from e
+        first = e.errors(include_url=False)[0]
+        place = ".".join(map(str, first["loc"]))[:100] or "its start"
+        raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at {place}{_why(first)}.") from e
+    refuse_other_run(path, found.run)
     size = Layout(robot, setups, tools).size
     names = [reading.name for reading in robot.readings]
     factor, null_basis = (_matrix(rows) for rows in (found.factor, found.null_basis))
@@ -163,6 +185,18 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
         read_only([found.identified[name] for name in names]),
         found.closure_determinant,
     )
+
+
+def _why(error: "ErrorDetails") -> str:
+    """Return what is wrong with a number, where it is one: the end of a sentence."""
+    match error["type"]:
+        case "greater_than_equal":
+            return f": {error['input']:g} is below {error['ctx']['ge']:g}"
+        case "less_than_equal":
+            return f": {error['input']:g} is above {error['ctx']['le']:g}"
+        case "value_error":
+            return f": {error['ctx']['error']}"
+    return ""
 
 
 def _matrix(rows: tuple[tuple[float, ...], ...]) -> Array | None:

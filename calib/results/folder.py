@@ -1,5 +1,6 @@
 """The folder of results: it stands alone, appears whole, and never takes the place of anything but older results."""
 
+import json
 import math
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -30,11 +31,12 @@ from calib.machine.model_file import (
     GAUSSIAN_FILE,
     GEOMETRY_FILE,
     GRID_FILE,
-    MODEL_FILE,
     NOMINAL_FILE,
     PoseEntry,
     machine_files,
+    run_of,
 )
+from calib.machine.run import MODEL_FILE, refuse_other_run
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE
 from calib.measurement.kinds import Kind, size
 from calib.presentation.hand_eye import camera_info, static_transform, urdf_joint
@@ -128,7 +130,7 @@ def write_results(found: Calibration, out: Path, progress: Callable[[str], None]
         **_dh_table(found.fit if found.in_urdf is None else found.in_urdf.fit),
     }
     if found.origin.settings:
-        files[JOB_FILE] = found.origin.settings
+        files[JOB_FILE] = document({**json.loads(found.origin.settings), "run": run_of(found.machine)})
     progress("writing the results")
     write_folder(out, files, (*_RESULTS, *_LEFT_BEHIND))
     return report
@@ -179,12 +181,14 @@ def read_result(folder: Path) -> "ResultFile":
     path = folder / RESULT_FILE
     with reading_folder(folder):
         source = read_bytes(path, OutputError, LARGEST_JSON)
-    try:
-        return validated(ResultFile, source.removeprefix(BOM_UTF8))
-    except NotJsonError as e:
-        raise OutputError(f"{path}: {e}.") from e
-    except ValidationError as e:
-        raise OutputError(f"{path}: is not a result of this tool.") from e
+        try:
+            found = validated(ResultFile, source.removeprefix(BOM_UTF8))
+        except NotJsonError as e:
+            raise OutputError(f"{path}: {e}.") from e
+        except ValidationError as e:
+            raise OutputError(f"{path}: is not a result of this tool.") from e
+        refuse_other_run(path, found.run)
+    return found
 
 
 def robot_errors(folder: Path) -> dict[str, float]:
@@ -286,6 +290,7 @@ def result(found: Calibration) -> dict[str, Any]:
         "trace": None if found.trace is None else {"reason": found.trace.reason, "iterations": found.trace.records()},
         "versions": versions(),
         "inputs": dict(found.origin.hashes),
+        "run": run_of(found.machine),
     }
     plain: dict[str, Any] = _strict(contents)
     return plain

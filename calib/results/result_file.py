@@ -58,3 +58,4 @@ class ResultFile(_Part):
     outliers: dict[str, tuple[OutlierEntry, ...]]
     versions: dict[str, Any]
     inputs: dict[str, str]
+    run: str | None = None

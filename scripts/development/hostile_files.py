@@ -647,7 +647,7 @@ def _verified(folder: Path, size: int) -> None:
     none, kernel = np.zeros((0, 0)), Kernel(1e-4, np.full(len(names), 1.0), 5e-5)
     numbers = tuple(range(len(names)))
     process = GaussianResiduals(names, numbers, points, errors, "base", kernel, none, none)
-    (folder / _RESULTS / "gaussian.npz").write_bytes(gaussian_bytes(process))
+    (folder / _RESULTS / "gaussian.npz").write_bytes(gaussian_bytes(process, model.get("run")))
     _table(folder / "new.csv", *_seen_by_tracker(robot, max(size // 75, 10)))
 
 

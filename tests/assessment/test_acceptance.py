@@ -477,6 +477,31 @@ def test_two_results_side_by_side_as_a_page(case: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "new.html").exists()
 
 
+@pytest.mark.parametrize("name", ["job.json", "result.json"])
+def test_a_file_of_another_run_is_refused(case: Path, tmp_path: Path, name: str) -> None:
+    """What differs is said; files of earlier versions name no run, in no file, and are used."""
+    out, page = tmp_path / "out", tmp_path / "both.html"
+    shutil.copytree(case / "out", out)
+    asked = {
+        "job.json": ("verify", out, case / "validation.csv", "-q"),
+        "result.json": ("compare", case / "out", out, "-o", page, "-q"),
+    }[name]
+    own = json.loads((out / name).read_text(encoding="utf-8"))
+    (out / name).write_text(json.dumps(own | {"run": "0123456789ab" + 52 * "0"}), encoding="utf-8")
+    ours = own["run"][:12]
+    assert run(*asked) == (
+        1,
+        "",
+        f"Error: {out / name}: names the run 0123456789ab, and model.json beside it names the run {ours}; a folder of "
+        "results is used as one run wrote it.\n",
+    )
+    assert not page.exists()
+    for part in ("model.json", "uncertainty.json", name):
+        contents = json.loads((out / part).read_text(encoding="utf-8"))
+        (out / part).write_text(json.dumps({k: v for k, v in contents.items() if k != "run"}), encoding="utf-8")
+    assert run(*asked) == (0, "", "")
+
+
 def test_a_folder_without_doubts_cannot_be_verified(case: Path, tmp_path: Path) -> None:
     for name in ("model.json", "nominal.urdf"):
         (tmp_path / name).write_bytes((case / "out" / name).read_bytes())

@@ -97,6 +97,12 @@ def test_a_plan_is_of_candidates_and_forecasts_less_error_for_more_poses() -> No
     assert planned(20, target=1e-9).enough is None
 
 
+def test_progress_is_told_for_every_design_that_is_made() -> None:
+    told: list[tuple[int, int]] = []
+    found = planned(20, progress=lambda done, of: told.append((done, of)))
+    assert told == [(k, len(found.forecasts) + 1) for k in range(len(found.forecasts) + 2)]
+
+
 def test_enough_poses_are_enough_and_one_fewer_is_not() -> None:
     target = 0.25e-3
     found = planned(20, target=target)

@@ -269,7 +269,7 @@ def test_a_fault_of_this_program_costs_its_job_alone(folder: Path, monkeypatch: 
     )
 
 
-@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "killed"])
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=["Ctrl-C", "ended", "killed"])
 def test_what_is_finished_is_kept_and_the_workers_end(folder: Path, by: signal.Signals) -> None:
     many = [f"job_{k}.toml" for k in range(12)]
     for name in many:
@@ -286,6 +286,10 @@ def test_what_is_finished_is_kept_and_the_workers_end(folder: Path, by: signal.S
         os.killpg(running.pid, by)  # as a terminal does
         said = "Error: interrupted; what is finished is kept, and the same command goes on with the rest.\n"
         assert (running.wait(), *running.communicate()) == (130, "", said)
+    elif by == signal.SIGTERM:
+        running.terminate()
+        # What minds their resources, and has the same standard error, has nothing to tell of.
+        assert (running.wait(), *running.communicate()) == (143, "", "")
     else:
         running.kill()
         running.wait()

@@ -269,25 +269,41 @@ def test_a_value_that_comes_twice_is_refused(tmp_path: Path) -> None:
         (lambda c: c["identified"].pop("elbow_joint"), "is not of the machine in model.json"),
         (
             lambda c: c["identified"].update(elbow_joint=[1.0, -1.0]),
-            "is not a file of this toolkit, or is damaged, at identified.elbow_joint",
+            "is not a file of this toolkit, or is damaged, at identified.elbow_joint: the least is above the greatest",
         ),
         (lambda c: c["causes"].update(model=3), "is not a file of this toolkit, or is damaged, at causes"),
         (lambda c: c["waves"]["width"].pop("elbow_joint"), "is not of the machine in model.json"),
         (lambda c: c["waves"]["width"]["elbow_joint"].append(1e-4), "is not of the machine in model.json"),
         (
             lambda c: c["waves"]["period"].update(elbow_joint=0.0),
-            "is not a file of this toolkit, or is damaged, at waves.period.elbow_joint",
+            "is not a file of this toolkit, or is damaged, at waves.period.elbow_joint: 0 is below 1e-06",
         ),
         (
             lambda c: c["waves"]["period"].update(elbow_joint=5e-324),
-            "is not a file of this toolkit, or is damaged, at waves.period.elbow_joint",
+            "is not a file of this toolkit, or is damaged, at waves.period.elbow_joint: 4.94066e-324 is below 1e-06",
         ),
         *(
             (
                 lambda c, key=key, value=value: c["position"].update({key: value}),
-                f"is not a file of this toolkit, or is damaged, at position.{key}",
+                f"is not a file of this toolkit, or is damaged, at position{why}",
             )
-            for key, value in (("model", -1.0), ("total", -1.0), ("degrees_of_freedom", 0.0))
+            for key, value, why in (
+                ("model", -1.0, ".model: -1 is below 0"),
+                ("total", -1.0, ".total: -1 is below 0"),
+                ("total", 0.0, ": its model part, 1e-05, is above its total, 0"),
+                ("total", 1e7, ".total: 1e+07 is above 1e+06"),
+                ("degrees_of_freedom", 0.0, ".degrees_of_freedom: 0 is below 1"),
+                ("degrees_of_freedom", 1e-9, ".degrees_of_freedom: 1e-09 is below 1"),
+                ("degrees_of_freedom", 1e12, ".degrees_of_freedom: 1e+12 is above 1e+09"),
+            )
+        ),
+        (
+            lambda c: c["factor"][0].__setitem__(0, 1e7),
+            "is not a file of this toolkit, or is damaged, at factor.0.0: 1e+07 is above 1e+06",
+        ),
+        (
+            lambda c: c["waves"]["width"]["elbow_joint"].__setitem__(0, -1e-4),
+            "is not a file of this toolkit, or is damaged, at waves.width.elbow_joint.0: -0.0001 is below 0",
         ),
     ],
     ids=[
@@ -301,12 +317,14 @@ def test_a_value_that_comes_twice_is_refused(tmp_path: Path) -> None:
         "orders",
         "period",
         "short",
-        *("model", "total", "freedom"),
+        *("model", "total", "model above total", "huge total", "freedom", "hardly any freedom", "endless freedom"),
+        *("huge", "negative width"),
     ],
 )
 def test_a_file_of_something_else_is_refused(tmp_path: Path, change: object, why: str) -> None:
     folder = written(fitted(offsets=["elbow_joint"], placements="none")[0], tmp_path)
     contents = json.loads((folder / "uncertainty.json").read_text())
+    contents["position"]["model"] = 1e-5
     change(contents)  # type: ignore[operator]
     (folder / "uncertainty.json").write_text(json.dumps(contents))
     with pytest.raises(OutputError) as caught:

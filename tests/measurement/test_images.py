@@ -201,6 +201,23 @@ def test_a_damaged_directory_of_a_tiff_is_refused(tmp_path: Path, first: bytes) 
             read_image(tmp_path / "a.tif")
 
 
+@pytest.mark.parametrize("marker", [b"\xff\xdb", b"\xff\xc4", b"\xff\xda"], ids=["tables", "codes", "image"])
+def test_bytes_between_the_segments_of_a_jpeg_are_no_damage_and_hide_none(tmp_path: Path, marker: bytes) -> None:
+    """As some webcams write them; libjpeg tells of the first thing alone that it finds."""
+    light = Renderer(LENS, SHEET, Look()).light(POSES[0])
+    whole = cv2.imencode(".jpg", np.clip(light, 0, 255).astype(np.uint8))[1].tobytes()
+    (tmp_path / "whole.jpg").write_bytes(whole)
+    file, at, middle = tmp_path / "padded.jpg", whole.index(marker), len(whole) // 2
+    for pad in (b"\0", b"\0\0\0"):
+        file.write_bytes(whole[:at] + pad + whole[at:])
+        np.testing.assert_array_equal(read_image(file), read_image(tmp_path / "whole.jpg"))
+    cut = whole[:middle] + whole[middle + 40 :]
+    for data in (whole[:at] + b"\0" * 4 + whole[at:], cut[:at] + b"\0" + cut[at:]):
+        file.write_bytes(data)
+        with pytest.raises(MeasurementError, match=r"padded\.jpg: is damaged"):
+            read_image(file)
+
+
 def test_a_damaged_photograph_is_refused_and_nothing_is_said_beside_it(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

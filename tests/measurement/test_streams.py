@@ -153,6 +153,24 @@ def test_recordings_that_do_not_overlap_are_refused_although_their_speeds_go_tog
         calib.measuring.read_stream(seen, made.robot, joints)
 
 
+@pytest.mark.parametrize("pauses", [[(60.0, 200.0)], [(20.0, 100.0), (120.0, 200.0), (220.0, 290.0)]], ids=len)
+def test_recordings_with_the_same_long_pauses_need_no_guess(pauses: list[tuple[float, float]]) -> None:
+    """Both clocks went on meanwhile, and no window of a minute is known to both from one side to the other."""
+    made = streams.streams(2, seconds=300.0, offset=12.0, skew=1e-3, rates=(50.0, 25.0))
+    ahead = made.recorded.offset_at(150.0)
+
+    def recorded(table: dict[str, Any], offset: float) -> dict[str, Any]:
+        u = table["time [s]"] - offset
+        kept = np.all([(u < begins) | (u > ends) for begins, ends in pauses], axis=0)
+        return {name: x[kept] for name, x in table.items()}
+
+    data = calib.measuring.read_stream(recorded(made.seen, ahead), made.robot, recorded(made.joints, 0.0))
+    assert data.stream is not None
+    found = {one.name: one.start for one in data.scalars}
+    assert found["clock.offset"] == pytest.approx(made.recorded.offset_at(data.stream.middle), abs=2e-3)
+    assert found["clock.skew"] == pytest.approx(1e-3, abs=2e-5)
+
+
 def test_a_motion_that_repeats_itself_is_refused() -> None:
     robot, arm = machines.load(*streams.UR10), machines.arm(*streams.UR10)
     u = np.arange(0.0, 60.0, 0.008)

@@ -203,3 +203,15 @@ def test_no_folder_for_the_job_is_said_at_once(folder: Path) -> None:
     put(folder, "no units")
     said = run("init", UR10, "measured.csv", "-o", "nowhere/calibration.toml")
     assert said == (1, "", "Error: nowhere/calibration.toml: cannot be written (No such file or directory).\n")
+
+
+@pytest.mark.parametrize(("more", "way"), [((), ""), (("--tip", "tip"), " on the way to 'tip'")], ids=["arm", "tip"])
+def test_an_arm_of_fixed_joints_has_nothing_to_calibrate(tmp_path: Path, more: tuple[str, ...], way: str) -> None:
+    urdf, table = tmp_path / "fixed.urdf", tmp_path / "measured.csv"
+    urdf.write_text(
+        '<robot name="r"><link name="base"/><link name="tip"/>'
+        '<joint name="j" type="fixed"><parent link="base"/><child link="tip"/></joint></robot>'
+    )
+    table.write_text("j [deg], x [mm], y [mm], z [mm]\n1, 2, 3, 4\n2, 3, 4, 5\n")
+    sentence = f"Error: {urdf}: no joint moves{way}, and there is nothing to calibrate.\n"
+    assert run("check", urdf, table, *more) == (1, "", sentence)

@@ -9,9 +9,11 @@ import pytest
 import calib
 from calib.job import xacro as of_xacro
 from calib.job.xacro import expanded
+from calib.robot.sources import resolve
 from calib.robot.urdf import parse_urdf
 from tests.proposal.test_init import put
 from tests.support.cases import ROOT, run
+from tests.support.people import UR10
 
 XACRO = """<?xml version="1.0"?>
 <robot name="two" xmlns:xacro="http://www.ros.org/wiki/xacro">
@@ -31,8 +33,9 @@ def test_xacro_runs_when_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     (tmp_path / "arm.urdf.xacro").write_text(XACRO)
     said = run("init", "arm.urdf.xacro", "measured.csv", "--xacro")
     assert said.code == 1
-    assert 'xyz="0.30000000000000004 0 0"' in (tmp_path / "arm.urdf").read_text()
     assert "no column is a joint of the arm (j)" in said.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.urdf.xacro", "measured.csv"]
+    assert b'xyz="0.30000000000000004 0 0"' in expanded(tmp_path / "arm.urdf.xacro")
     (tmp_path / "broken.xacro").write_text("<robot>${1/0}</robot>")
     said = run("init", "broken.xacro", "measured.csv", "--xacro")
     assert said.code == 1
@@ -79,6 +82,16 @@ def test_xacro_runs_again_and_takes_no_module_from_the_folder(tmp_path: Path, mo
     said = run("init", "arm.urdf.xacro", "measured.csv", "--xacro")
     assert said.err.startswith("Error: arm.urdf: already exists, and is not what arm.urdf.xacro makes; ")
     assert (tmp_path / "arm.urdf").read_text() == "mine"
+
+
+def test_the_urdf_of_a_xacro_file_stays_with_its_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("xacro")
+    monkeypatch.chdir(tmp_path)
+    put(tmp_path, "FANUC")
+    (tmp_path / "arm.urdf.xacro").write_bytes(Path(resolve(UR10)).read_bytes())
+    assert run("init", "arm.urdf.xacro", "measured.csv", "--xacro", "--yes").code == 0
+    assert 'urdf = "arm.urdf"' in (tmp_path / "calibration.toml").read_text()
+    assert (tmp_path / "arm.urdf").read_bytes() == expanded(tmp_path / "arm.urdf.xacro")
 
 
 def test_meshes_that_are_not_found_are_said_with_the_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ import yourdfpy
 from numpy.typing import NDArray
 
 import calib
+from calib.foundations.choices import Convention
 from calib.foundations.errors import RobotError
 from calib.robot import dh
 from calib.robot.dh import DhRow, DhTable
@@ -34,6 +35,20 @@ def close(a: Array, b: Array) -> None:
 
 
 # ---- there and back
+
+
+@pytest.mark.parametrize(("convention", "joint"), [("standard", "j1"), ("modified", "j2")])
+def test_a_number_beyond_what_a_table_may_hold_is_told_with_file_and_joint(convention: Convention, joint: str) -> None:
+    joints = "".join(
+        f'<joint name="j{k}" type="continuous"><parent link="l{k - 1}"/><child link="l{k}"/><axis xyz="0 0 1"/>'
+        f'<origin xyz="{x} 0 0" rpy="0.3 0 0"/></joint>'
+        for k, x in ((1, 0), (2, 9e5))
+    )
+    links = "".join(f'<link name="l{k}"/>' for k in range(3))
+    robot = calib.load_robot(parse_urdf(f'<robot name="far">{links}{joints}</robot>'.encode(), "far.urdf"), "l2")
+    sentence = rf"^far\.urdf: DH table: joint '{joint}' has a 900000 m; allowed is -10000 to 10000 m\.$"
+    with pytest.raises(RobotError, match=sentence):
+        dh.dh_of(robot, convention)
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterable, Iterator, Sequence
 
-from calib.foundations.errors import MeasurementError
+from calib.foundations.errors import MeasurementError, RobotError
 from calib.foundations.words import counted, listed, shown
 from calib.job.chains import Chain, behind
 from calib.job.foreign.answers import Pick, ask, run_of
@@ -162,9 +162,12 @@ def no_joints(seen: Seen) -> Exception:
     for column, wrong in _not_numbers(seen):
         return _no_number(seen, column, wrong)
     there = listed([column.title for column in seen.raw.columns])
-    longest = seen.arms[0].joints if seen.arms else ()
+    if not seen.arms:
+        end = "" if seen.answers.tip is None else f" on the way to {seen.answers.tip!r}"
+        return RobotError(f"{seen.document.where}: no joint moves{end}, and there is nothing to calibrate.")
+    longest = seen.arms[0].joints
     sizes = [size for size in roles.numbered_columns(seen.raw) if size > 2] if seen.raw.named else []
-    if sizes and len(longest):
+    if sizes:
         return ask(
             "joints",
             f"{seen.raw.where}: {max(sizes)} columns are numbered, and the arm {run_of(longest)} has "

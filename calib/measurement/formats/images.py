@@ -33,6 +33,8 @@ _BOUND = "OPENCV_IO_MAX_IMAGE_PIXELS"
 # TIFF and BigTIFF by their first bytes: byte order, type of an offset and of the number of entries, bytes of an entry.
 _TIFF = {b"II*\0": ("<", "I", "H", 12), b"MM\0*": (">", "I", "H", 12)}
 _TIFF |= {b"II+\0": ("<", "Q", "Q", 20), b"MM\0+": (">", "Q", "Q", 20)}
+# The first bytes of a JPEG, and of its image; bytes that may stand between its segments: no segment is as short.
+_JPEG, _SCAN, _MOST_PADS, _MOST_SEGMENTS = b"\xff\xd8", b"\xff\xda", 3, 1000
 # Number of this entry, and that of its type.
 _ORIENTATION = (274, 3)
 # What libjpeg says of data that it had to guess: what follows in the image may stand elsewhere.
@@ -115,7 +117,7 @@ def read_image(file: Path) -> Array:
     way = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION | cv2.IMREAD_ANYDEPTH
     try:
         with heard() as said:
-            image = cv2.imdecode(np.frombuffer(_unturned(data), np.uint8), way) if data else None
+            image = cv2.imdecode(np.frombuffer(_unpadded(_unturned(data)), np.uint8), way) if data else None
     except cv2.error as e:
         if "_MAX_IMAGE_" in e.err:
             most = MOST_PIXELS // 1_000_000
@@ -144,6 +146,25 @@ def _of_8_bits(image: Any, file: Path) -> Array:
     elif image.dtype != np.uint8:
         raise MeasurementError(f"{file}: has pixels of the kind {image.dtype}; whole numbers of 8 or 16 bits are read.")
     return np.asarray(image)
+
+
+def _unpadded(data: bytes) -> bytes:
+    """Return a JPEG without the bytes that some cameras put between its segments, before the image; others as they are.
+
+    OpenCV reads such an image soundly, says of it what it says of a damaged one, and of other damage then nothing.
+    """
+    kept = [_JPEG]
+    at = len(_JPEG) if data.startswith(_JPEG) else len(data)
+    for _ in range(_MOST_SEGMENTS):
+        begins = data.find(0xFF, at, at + _MOST_PADS + 1)
+        length = int.from_bytes(data[begins + 2 : begins + 4], "big")
+        if begins < 0 or length < 2 or data[begins + 1] in (0, 0xFF):
+            return data
+        at = begins + 2 + length
+        kept.append(data[begins:at])
+        if kept[-1].startswith(_SCAN):
+            return b"".join([*kept, data[at:]])
+    return data
 
 
 def _unturned(data: bytes) -> bytes:

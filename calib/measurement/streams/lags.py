@@ -34,8 +34,9 @@ _ON_LINE = 0.05
 _TOGETHER, _AS_WELL, _APART = 0.5, 0.9, 1.0
 # What is slower, in m/s, is at rest.
 _SLOWEST = 2e-3
-# Of a window so much must be known by both clocks.
-_KNOWN = 0.7
+# Of a window so much must be known by both clocks. Stretches between pauses that are shorter, in s, follow any motion
+# by chance; they are passed over where others are longer.
+_KNOWN, _SHORT = 0.7, 5.0
 # Starts about the line, in s, and rows by which they are judged.
 _STARTS, _ROWS, _ROUNDS = np.linspace(-1.0, 1.0, 41), 500, 12
 # Of a change of the clock, so little left by 13 numbers is rounding; units of offset and skew.
@@ -190,12 +191,9 @@ class _Peaks(NamedTuple):
 
 def _peaks(measured: _Speeds, nominal: _Speeds, where: str, other: str) -> _Peaks:
     """Return the best lags of every window whose speeds go together. Raises as :func:`clock_lag` does."""
-    n = len(measured.values)
-    length = int(min(_WINDOW / _STEP, _SHARE * n, _SHARE * len(nominal.values)))
-    count = int(np.clip(2 * (n // max(length, 1)), 2, _MOST_WINDOWS))
     apart, highest, found = max(round(_APART / _STEP), 1), 0.0, []
-    for w, start in enumerate(np.linspace(0, n - length, count).astype(np.intp)):
-        window = slice(start, start + length)
+    for w, window in enumerate(_windows(measured.known, len(nominal.values))):
+        start, length = window.start, window.stop - window.start
         correlation = _correlation(measured.values[window], measured.known[window], nominal)
         left = correlation.copy()
         highest = max(highest, float(left.max(initial=0.0)))
@@ -214,6 +212,32 @@ def _peaks(measured: _Speeds, nominal: _Speeds, where: str, other: str) -> _Peak
         )
     window, times, lags, heights = np.array(found).T
     return _Peaks(window.astype(np.intp), times, lags, heights)
+
+
+def _windows(known: BoolArray, other: int) -> list[slice]:
+    """Return windows of a grid (n,) that is correlated with one of ``other`` steps: some in every stretch of it.
+
+    Stretches have pauses between them, which no window bridges.
+    """
+    length = _length(len(known), other)
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], known, [True]]).astype(np.int8)))
+    pauses = [(a, b) for a, b in edges.reshape(-1, 2) if b - a > (1.0 - _KNOWN) * length]
+    ends = np.array([0, *(end for pause in pauses for end in pause), len(known)]).reshape(-1, 2)
+    least = min(_SHORT / _STEP, max(b - a for a, b in ends))
+    stretches = [(a, b) for a, b in ends if b - a >= max(least, 1)]
+    # Each stretch has two windows or more.
+    some = np.unique(np.linspace(0, len(stretches) - 1, _MOST_WINDOWS // 2).astype(np.intp))
+    most = max(_MOST_WINDOWS // len(some), 2)
+    found = []
+    for a, b in (stretches[k] for k in some):
+        n, length = b - a, _length(b - a, other)
+        count = int(np.clip(2 * (n // max(length, 1)), 2, most))
+        found += [slice(a + start, a + start + length) for start in np.linspace(0, n - length, count).astype(np.intp)]
+    return found
+
+
+def _length(steps: int, other: int) -> int:
+    return int(min(_WINDOW / _STEP, _SHARE * steps, _SHARE * other))
 
 
 def _correlation(a: Array, known: BoolArray, other: _Speeds) -> Array:

@@ -25,9 +25,9 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
-from calib.foundations.errors import RobotError
+from calib.foundations.errors import RobotError, naming
 from calib.robot import deviation
-from calib.robot.dh.table import NUMBERS, DhRow, DhTable, check_convention
+from calib.robot.dh.table import NUMBERS, DhRow, DhTable, check_convention, step_across, step_along
 from calib.robot.robot import ChainJoint, Deviations, Robot
 
 # Neighbouring axes nearer to parallel than this, in rad, have no common normal that one would build by: its foot would
@@ -192,12 +192,13 @@ def dh_frames(robot: Robot, convention: Convention = "standard", parallel: float
     if joints[-1].type != "fixed":
         back = rigid.inverse(slides[-1])
         end = end._replace(theta=_tidy("theta", _yaw(back)), d=float(back[2, 3]))
-    along = [*steps[1:], end]
-    across = steps if modified else along
-    rows = [
-        DhRow(joint.name, joint.type, to.a, on.d, to.alpha, on.theta, to.beta)
-        for joint, on, to in zip(joints, along, across, strict=True)
-    ]
+    ahead = [*steps[1:], end]
+    beside = steps if modified else ahead
+    with naming(robot.urdf.where, RobotError):
+        rows = [
+            DhRow(joint.name, joint.type, to.a, on.d, to.alpha, on.theta, to.beta)
+            for joint, on, to in zip(joints, ahead, beside, strict=True)
+        ]
     if joints[-1].type == "fixed" and not modified:
         rows.pop()
 
@@ -213,7 +214,7 @@ def dh_frames(robot: Robot, convention: Convention = "standard", parallel: float
         dropped,
         at[elements[0]][0],
         at[elements[-1]][1],
-        read_only(DhRow("", "fixed", 0.0, steps[0].d, 0.0, steps[0].theta).along),
+        read_only(step_along(steps[0].theta, steps[0].d)),
     )
 
 
@@ -334,9 +335,8 @@ def _own_normal(G: Array, parallel: float) -> Array | None:
 
 def _slide(G: Array, step: _Step) -> Array:
     """Return the motion (4, 4) about and along z from ``G`` to the frame in which the step ends."""
-    row = DhRow("", "fixed", step.a, step.d, step.alpha, step.theta, step.beta)
-    K = rigid.inverse(G) @ row.along @ row.across
-    return DhRow("", "fixed", 0.0, _tidy("d", float(K[2, 3])), 0.0, _tidy("theta", _yaw(K))).along
+    K = rigid.inverse(G) @ step_along(step.theta, step.d) @ step_across(step.a, step.alpha, step.beta)
+    return step_along(_tidy("theta", _yaw(K)), _tidy("d", float(K[2, 3])))
 
 
 def _chain(
@@ -353,7 +353,7 @@ def _chain(
         beta = steps[i].beta if i in steps else 0.0
         at[i] = len(new), len(new) + (beta != 0.0)
         if beta != 0.0:
-            turn = DhRow("", "fixed", 0.0, 0.0, 0.0, 0.0, beta).across
+            turn = step_across(0.0, 0.0, beta)
             back = rigid.inverse(turn)
             name, end = f"{joint.name} (cut)", len(new) - 1
             new.append(ChainJoint(name, "fixed", end, read_only(placement @ back), read_only(frame @ back)))

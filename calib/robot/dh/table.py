@@ -57,13 +57,22 @@ class DhRow:
     @property
     def along(self) -> Array:
         """The step (4, 4) along the row's own axis, Rz(theta) Tz(d)."""
-        return rigid.placement(rigid.rotation_about(_Z, self.theta), self.d * _Z)
+        return step_along(self.theta, self.d)
 
     @property
     def across(self) -> Array:
         """The step (4, 4) between two axes, Tx(a) Rx(alpha) Ry(beta)."""
-        turn = rigid.rotation_about(_X, self.alpha) @ rigid.rotation_about(_Y, self.beta)
-        return rigid.placement(turn, self.a * _X)
+        return step_across(self.a, self.alpha, self.beta)
+
+
+def step_along(theta: float, d: float) -> Array:
+    """Return the step (4, 4) along an axis, Rz(theta) Tz(d)."""
+    return rigid.placement(rigid.rotation_about(_Z, theta), d * _Z)
+
+
+def step_across(a: float, alpha: float, beta: float) -> Array:
+    """Return the step (4, 4) between two axes, Tx(a) Rx(alpha) Ry(beta)."""
+    return rigid.placement(rigid.rotation_about(_X, alpha) @ rigid.rotation_about(_Y, beta), a * _X)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
