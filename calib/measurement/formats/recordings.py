@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
-from calib.foundations.files import DAMAGED, read_bytes, sentences
+from calib.foundations.files import DAMAGED, is_there, read_bytes, sentences
 from calib.foundations.words import counted, listed, near, shown
 from calib.measurement.formats.message_types import Told, Values, told_by
 from calib.measurement.formats.sheet import Sheet
@@ -50,7 +50,7 @@ class Topic(NamedTuple):
 
 def is_recording(path: Path) -> bool:
     """Return whether a path is that of a recording: a file by its ending, or a folder with metadata."""
-    return path.suffix.lower() in SUFFIXES or (path / "metadata.yaml").is_file()
+    return path.suffix.lower() in SUFFIXES or is_there(path / "metadata.yaml", Path.is_file)
 
 
 def topics(path: Path) -> tuple[Topic, ...]:
