@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from calib.foundations.errors import JobError
+from calib.foundations.files import is_there
 from calib.foundations.words import shown
 
 
@@ -37,7 +38,7 @@ def refuse_idle(why: str, given: Mapping[str, object]) -> None:
 def mesh_folders(roots: Sequence[Path] | None) -> tuple[Path, ...]:
     """Return what ``--mesh-root`` names; raise JobError where one is no folder."""
     for root in roots or ():
-        if not root.is_dir():
+        if not is_there(root, Path.is_dir):
             raise JobError(f"--mesh-root: {shown(str(root))} is not a folder.")
     return tuple(roots or ())
 

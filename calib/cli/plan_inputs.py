@@ -17,7 +17,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.choices import MOST_POSES, Criterion, Observed
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.files import write_new
+from calib.foundations.files import is_there, write_new
 from calib.foundations.ranges import OF_DIMENSION, RANGES, parse_within
 from calib.foundations.units import DISPLAY_OF, Dimension
 from calib.foundations.words import shown
@@ -70,7 +70,7 @@ def arm(source: str, tip: str | None, observes: Observed, roots: tuple[Path, ...
         if tip is not None and tip != arm.robot.tip:
             robot, model = robot.with_tip(tip), replace(model, robot=model.robot.with_tip(tip))
         return PlannedArm(robot, model, (*arm.mesh_roots, *roots), columns_alike(arm.job.measurements))
-    if Path(source).is_dir():
+    if is_there(Path(source), Path.is_dir):
         raise JobError(
             f"{source}: is a folder; poses are planned for a URDF or a job, of results for calibrated.urdf in it."
         )

@@ -9,7 +9,7 @@ import stat
 import struct
 import sys
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -78,6 +78,14 @@ def _contents(handle: int, path: Path, error: type[CalibError], largest: int) ->
         if length > largest:
             raise error(f"{path}: is larger than {largest} bytes.")
         return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+
+def is_there(path: Path, kind: Callable[[Path], bool]) -> bool:
+    """Return whether ``Path.is_dir`` or ``Path.is_file`` holds; not of a name longer than the file system takes."""
+    try:
+        return kind(path)
+    except OSError:
+        return False
 
 
 @contextlib.contextmanager

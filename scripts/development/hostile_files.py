@@ -826,6 +826,33 @@ def _recording(folder: Path, size: int) -> None:
     (folder / "one.bag").write_bytes(b"#ROSBAG V2.0\n" + b"\xff\xff\xff\xff" * (size // 4))
 
 
+def _of_definitions(piece: Callable[[int], str], head: str = "", tail: str = "") -> Hostile:
+    """Return a recording (MCAP, with nothing packed) of one message, whose type is defined so."""
+
+    def record(kind: int, *parts: bytes) -> bytes:
+        return bytes([kind]) + struct.pack("<Q", sum(map(len, parts))) + b"".join(parts)
+
+    def text(said: str) -> bytes:
+        return struct.pack("<I", len(said.encode())) + said.encode()
+
+    def write(folder: Path, size: int) -> None:
+        definition = head + repeated(piece, size - len(head) - len(tail)) + tail
+        language = "ros2idl" if definition.startswith("module") else "ros2msg"
+        magic = b"\x89MCAP0\r\n"
+        (folder / "one.mcap").write_bytes(
+            magic
+            + record(1, text("ros2"), text(""))
+            + record(3, struct.pack("<H", 1), text("a/msg/B"), text(language), text(definition))
+            + record(4, struct.pack("<HH", 1, 1), text("/t"), text("cdr"), struct.pack("<I", 0))
+            + record(5, struct.pack("<HIQQ", 1, 0, 1, 1), b"\0\1\0\0", b"\xff" * 4, bytes(96))
+            + record(15, struct.pack("<I", 0))
+            + record(2, struct.pack("<QQI", 0, 0, 0))
+            + magic
+        )
+
+    return Hostile(write, ("import", "one.mcap"))
+
+
 # Of jobs of photographs with one thing wrong. ----------------------------------------------------------------------
 
 _LENS = "".join(f'{name} = "{cameras.BENT[name]} px"\n' for name in ("fx", "fy", "cx", "cy")) + "".join(
@@ -1156,6 +1183,14 @@ HOSTILE: dict[str, Hostile] = {
     "keys of a board": _photographs(lambda size: repeated(lambda k: f"k{k} = 1\n", size), lambda _: "p0,1\n"),
     "an image of noise": Hostile(_image, _PHOTOGRAPHS),
     "a recording that promises": Hostile(_recording, ("import", "one.bag")),
+    "definitions of fields": _of_definitions(lambda k: f"bool a{k}\n"),
+    "definitions of types": _of_definitions(lambda k: f"bool a\n{80 * '='}\nMSG: a/C{k}\n", tail="bool a\n"),
+    "definitions of blank lines": _of_definitions(lambda _: "\n", "bool a\n"),
+    "definitions that compute": _of_definitions(lambda _: "(", "module a { const long A = "),
+    "definitions of constants": _of_definitions(
+        lambda k: f"const long A{k} = 1;", "module a { ", "struct B { double x; }; };"
+    ),
+    "definitions of strings": _of_definitions(lambda _: "# many\n", tail="string[1000000000] a\n"),
     "spheres": _shape('sphere radius=".1"'),
     "boxes": _shape('box size=".1 .1 .1"'),
     "cylinders": _shape('cylinder radius=".1" length=".1"'),

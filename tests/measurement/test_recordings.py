@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from calib.foundations.errors import MeasurementError
-from calib.measurement.formats import unpacking
+from calib.measurement.formats import message_types, unpacking
 from calib.measurement.formats.recordings import read_topic, topics
 from calib.measurement.formats.sheet import Sheet, read_sheet
 from scripts.development.fuzz_sensors import MOTIVE as MOTIVE_BYTES
@@ -380,3 +380,147 @@ def test_databases_that_compute_what_is_read_are_refused(said: str, inside: bool
     database.close()
     with pytest.raises(MeasurementError, match=f"{file.name}: .*{said}"):
         topics(path if inside else file)
+
+
+_NEXT = f"{80 * '='}\nMSG: "
+_STRUCT = "module a { module msg { struct B { double x; }; }; };"
+
+
+def defined(folder: Path, definition: str, told: list[bytes], kind: str = "a/msg/B") -> Path:
+    """A recording whose topic /t has these messages, of a type that is defined so."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        connection = writer.add_connection("/t", "std_msgs/msg/String", typestore=store)
+        # What is written is what the connection says, of which the writer knows no more than the number.
+        storage: Any = writer.storage
+        storage.schemas[-1] = storage.schemas[-1]._replace(
+            name=kind, data=definition, encoding="ros2idl" if definition.startswith("module") else "ros2msg"
+        )
+        storage.channels[-1] = storage.channels[-1]._replace(schema=kind)
+        for k, raw in enumerate(told):
+            writer.write(connection, BEGIN + k, b"\0\1\0\0" + raw)
+    return folder / f"{folder.name}.mcap"
+
+
+def test_definitions_of_a_recording_are_its_own(tmp_path: Path) -> None:
+    point = np.array([1.0, 2.0, 3.0]).tobytes()
+    for name, text in (
+        ("msg", "# a point\n\nfloat64 x # to the right\nfloat64 y\nfloat64 z\n"),
+        (
+            "idl",
+            'module a { module msg { // a point\n @verbatim (language="comment", text="(a)" "point") struct B '
+            '{ @key double x; double y; /* up */ @unit (value="m") double z; }; }; };',
+        ),
+    ):
+        path = defined(tmp_path / name, text, [point])
+        assert topics(path)[0].of == "point"
+        np.testing.assert_allclose(numbers(read_topic(path, "/t"))[0, 1:], [1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("\n".join(f"bool a{k}" for k in range(2000)), "messages of 'a/msg/B' have more than 1000 fields"),
+        ("".join(f"int8 a{k}\n{_NEXT}a/C{k}\n" for k in range(20_000)), "defines too much: its messages have more"),
+        (f"int8[] a [{'1,' * 40_000}1]", "defines too much: its messages have more"),
+        (_STRUCT.replace("double x", f"double x[{3 * '('}1{3 * ')'}]"), r"computes a number in a definition \('\('\)"),
+        (f"module a {{ const long A = 1 << 4000000000; }};{_STRUCT}", "computes a number in a definition"),
+        (f"module a {{ {''.join(f'const long A{k} = 1;' for k in range(600))} }};{_STRUCT}", "defines too much"),
+    ],
+)
+def test_definitions_that_take_long_to_parse_are_refused(text: str, says: str, tmp_path: Path) -> None:
+    with pytest.raises(MeasurementError, match=f"{says}.*$"):
+        topics(defined(tmp_path / "r", text, [b"\0"]))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "string[1000000000] a",
+        f"a/C[] a\n{_NEXT}a/C\n",
+        "a/C[10] a" + "".join(f"\n{_NEXT}a/{'CDEFGHIJKL'[k]}\na/{'DEFGHIJKLM'[k]}[10] a" for k in range(9)),
+        "a/B a",
+    ],
+    ids=["strings", "empty parts", "laughs", "itself"],
+)
+def test_messages_that_would_have_values_without_end_are_not_read(text: str, tmp_path: Path) -> None:
+    raw = b"\xff\xff\xff\xff" + bytes(100)
+    assert topics(defined(tmp_path / "other", text, [raw]))[0].of == ""
+    path = defined(tmp_path / "point", f"float64 x\nfloat64 y\nfloat64 z\n{text}", [bytes(24) + raw])
+    assert topics(path)[0].of == "point"
+    with pytest.raises(MeasurementError, match=r"may have more than|have more than 1000 values|parts without end"):
+        read_topic(path, "/t")
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("sensor_msgs/msg/JointState", "int8[] name\nfloat64[] position"),
+        ("sensor_msgs/msg/JointState", "string[] name\nstring[] position"),
+        ("sensor_msgs/msg/JointState", "int8 a"),
+        ("tf2_msgs/msg/TFMessage", "int8 transforms"),
+        ("tf2_msgs/msg/TFMessage", f"a/C[] transforms\n{_NEXT}a/C\nfloat64 x\nfloat64 y\nfloat64 z"),
+        ("a/msg/B", "string x\nstring y\nstring z"),
+        ("a/msg/B", "float64[2] x\nfloat64[2] y\nfloat64[2] z"),
+        ("a/msg/B", f"a/C x\na/C y\na/C z\n{_NEXT}a/C\nint8 a"),
+        ("a/msg/B", "float64 X=1\nfloat64 Y=1\nfloat64 Z=1\nint8 a"),
+    ],
+)
+def test_what_has_the_names_of_joints_or_points_but_no_numbers_is_neither(kind: str, text: str, tmp_path: Path) -> None:
+    path = defined(tmp_path / "r", text, [bytes(64)], kind)
+    assert [topic.of for topic in topics(path)] == [""]
+    with pytest.raises(MeasurementError, match=f"messages of '/t' are '{kind}': neither joints nor points"):
+        read_topic(path, "/t")
+
+
+def test_a_header_without_a_time_gives_none(tmp_path: Path) -> None:
+    text = f"a/H header\nfloat64 x\nfloat64 y\nfloat64 z\n{_NEXT}a/H\nfloat64 stamp"
+    sheet = read_topic(defined(tmp_path / "r", text, [bytes(32), bytes(32)]), "/t")
+    np.testing.assert_allclose(numbers(sheet)[:, 0], [0.0, 1e-9], atol=1e-12)
+
+
+def test_more_messages_than_a_small_recording_can_have_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(message_types, "LEAST_VALUES", 1000)
+    path = defined(tmp_path / "r", "float64 x\nfloat64 y\nfloat64 z", [bytes(24)] * 40)
+    assert len(topics(path)) == 1
+    monkeypatch.setattr(message_types, "VALUES_PER_BYTE", 0)
+    with pytest.raises(MeasurementError, match="more messages than a recording of its size can have"):
+        read_topic(defined(tmp_path / "s", "float64 x\nfloat64 y\nfloat64 z", [bytes(24)] * 50), "/t")
+
+
+def test_another_type_of_the_same_topic_does_not_hide_its_joints(tmp_path: Path) -> None:
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import get_types_from_msg as types_of
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(types_of("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+    text = store.types["std_msgs/msg/String"]
+    with Writer(tmp_path / "one.bag") as writer:
+        other = writer.add_connection("/joint_states", text.__msgtype__, typestore=store)
+        writer.write(other, BEGIN - 1, store.serialize_ros1(text(data="begins"), text.__msgtype__))
+        connection = None
+        for topic, kind, time, message in messages(store, ros1=True):
+            if topic == "/joint_states":
+                connection = connection or writer.add_connection(topic, kind, typestore=store)
+                writer.write(connection, time, store.serialize_ros1(message, kind))
+    assert topics(tmp_path / "one.bag")[0].of == "joints"
+    sheet = read_topic(tmp_path / "one.bag", "/joint_states")
+    assert len(sheet.rows) == 30
+    assert sheet.remarks[-1] == "1 message of another type left out"
+
+
+def test_chunks_of_one_index_are_not_read_again_and_again(tmp_path: Path) -> None:
+    path = recording(tmp_path, "ros1")
+    data = path.read_bytes()
+    # The records of connections and of the only chunk end the file; the header says how many chunks there are.
+    begin = data.rindex(b"\x04\x00\x00\x00op=\x06") - 4
+    many = data.replace(b"chunk_count=\x01\x00", b"chunk_count=\xe8\x03") + 999 * data[begin:]
+    path.write_bytes(many)
+    with pytest.raises(MeasurementError, match="has indexes that are larger than the file"):
+        topics(path)

@@ -15,8 +15,9 @@ import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
-from calib.foundations.files import DAMAGED, read_bytes, sentences
+from calib.foundations.files import DAMAGED, is_there, read_bytes, sentences
 from calib.foundations.words import counted, listed, near, shown
+from calib.measurement.formats.message_types import Told, Values, told_by
 from calib.measurement.formats.sheet import Sheet
 from calib.measurement.formats.unpacking import limited
 from calib.measurement.formats.yaml_events import trouble
@@ -25,12 +26,12 @@ SUFFIXES = frozenset((".bag", ".mcap", ".db3"))
 # A table of so many rows is hours of a fast controller; cells of text take some hundred bytes each.
 _MOST_MESSAGES = 3_000_000
 _NANO = 1e-9
-# Where a point, and where an orientation, may be in a message, and which numbers it has.
-_POINT = (("position", "translation", "point", "vector"), ("x", "y", "z"))
-_TURN = (("orientation", "rotation"), ("w", "x", "y", "z"))
-_INSIDE = ("pose", "transform")
-_TF = "tf2_msgs/msg/TFMessage"
-_JOINTS = "sensor_msgs/msg/JointState"
+_TITLES = {
+    "point": ("time [s]", "x [m]", "y [m]", "z [m]"),
+    "pose": ("time [s]", "x [m]", "y [m]", "z [m]", "qw", "qx", "qy", "qz"),
+}
+# Of one message: its time in s, and the names and positions of joints.
+_Joints = tuple[float, tuple[str, ...], tuple[float, ...]]
 _LARGEST_METADATA = 1_000_000
 # Parts of its YAML: topics have some dozens each, and a second of processor time is needed for ten thousand.
 _MOST_METADATA = 30_000
@@ -49,7 +50,7 @@ class Topic(NamedTuple):
 
 def is_recording(path: Path) -> bool:
     """Return whether a path is that of a recording: a file by its ending, or a folder with metadata."""
-    return path.suffix.lower() in SUFFIXES or (path / "metadata.yaml").is_file()
+    return path.suffix.lower() in SUFFIXES or is_there(path / "metadata.yaml", Path.is_file)
 
 
 def topics(path: Path) -> tuple[Topic, ...]:
@@ -60,10 +61,14 @@ def topics(path: Path) -> tuple[Topic, ...]:
     with _opened(path) as reader:
         times: dict[str, list[int]] = {}
         kinds: dict[str, tuple[str, str]] = {}
-        for name, kind, time, message in _messages(reader, path, None):
+        for name, kind, told, time, _ in _messages(reader, path, None):
             times.setdefault(name, []).append(time)
-            kinds.setdefault(name, (kind, _made_of(kind, message)))
-        return tuple(_topic(name, *kinds[name], np.array(times[name])) for name in sorted(times))
+            # Whoever sends something else under the same name does not hide what can be read.
+            if name not in kinds or (told.of and not kinds[name][1]):
+                kinds[name] = kind, told.of
+    if not times:
+        raise MeasurementError(f"{path}: has no messages that can be read.")
+    return tuple(_topic(name, *kinds[name], np.array(times[name])) for name in sorted(times))
 
 
 def read_topic(path: Path, name: str) -> Sheet:
@@ -71,24 +76,34 @@ def read_topic(path: Path, name: str) -> Sheet:
 
     Raises MeasurementError when there is no such topic, or when it has neither joints nor points.
     """
+    of, kinds, others = "", list[str](), 0
+    joints, points = list[_Joints](), list[list[float]]()
     with _opened(path) as reader:
-        zero, told = int(reader.start_time), []
-        for _, kind, time, message in _messages(reader, path, name):
-            told.append((_NANO * (_stamp(message, time) - zero), kind, message))
-    if not told:
+        zero = int(reader.start_time)
+        for _, kind, told, time, message in _messages(reader, path, name):
+            kinds.append(kind)
+            of = of or told.of
+            if told.of != of or not of:
+                others += 1
+                continue
+            seconds = _NANO * (((_stamp(message) if told.stamped else 0) or time) - zero)
+            if of == "joints":
+                joints.append((seconds, tuple(message.name), tuple(map(float, message.position))))
+            else:
+                points.append([seconds, *_point_of(message, told)])
+    if not kinds:
         known = [topic.name for topic in topics(path)]
-        if not known:
-            raise MeasurementError(f"{path}: has no messages that can be read.")
         close = near(name, known, most=1)
         raise MeasurementError(
             f"{path}: there is no topic {shown(name)}{f'; near is {close[0]!r}' if close else ''}; there are "
             f"{listed(known)}."
         )
-    of = _made_of(told[0][1], told[0][2])
     if not of:
-        raise MeasurementError(f"{path}: messages of {shown(name)} are {told[0][1]}: neither joints nor points.")
+        raise MeasurementError(f"{path}: messages of {shown(name)} are {shown(kinds[0])}: neither joints nor points.")
     at = f"{path}: {shown(name)}"
-    titles, rows, remarks = _joint_rows(told, at) if of == "joints" else _point_rows(told)
+    titles, rows, remarks = _joint_rows(joints, at) if of == "joints" else (_TITLES[of], points, [])
+    if others:
+        remarks.append(f"{counted(others, 'message')} of another type left out")
     if not rows:
         raise MeasurementError(f"{path}: no message of {shown(name)} has positions of joints.")
     # So do trackers tell that they have lost their target.
@@ -101,9 +116,9 @@ def read_topic(path: Path, name: str) -> Sheet:
     return Sheet(titles, tuple(tuple(map(repr, row)) for row in known_rows), str(path), (said, *remarks))
 
 
-def _joint_rows(told: list[tuple[float, str, Any]], at: str) -> tuple[tuple[str, ...], list[list[float]], list[str]]:
+def _joint_rows(told: list[_Joints], at: str) -> tuple[tuple[str, ...], list[list[float]], list[str]]:
     """Return titles, rows and remarks of joints: of the messages with the joints that most have, in any order."""
-    found = [(time, tuple(message.name), message.position) for time, _, message in told if len(message.position)]
+    found = [one for one in told if one[2]]
     sets = Counter(tuple(sorted(names)) for _, names, position in found if len(names) == len(position))
     if not sets:
         return (), [], []
@@ -114,23 +129,23 @@ def _joint_rows(told: list[tuple[float, str, Any]], at: str) -> tuple[tuple[str,
     for time, own, position in found:
         if len(own) == len(position) and tuple(sorted(own)) == common:
             names = names or own
-            rows.append([time, *(float(position[own.index(name)]) for name in names)])
+            places = dict(zip(own, position, strict=True))
+            rows.append([time, *(places[name] for name in names)])
     remarks = ["joints that slide are in m: change the unit of their columns"]
     if many < len(told):
         remarks.append(f"{counted(len(told) - many, 'message')} of other joints, or without positions, left out")
     return ("time [s]", *(f"{name} [rad]" for name in names)), rows, remarks
 
 
-def _point_rows(told: list[tuple[float, str, Any]]) -> tuple[tuple[str, ...], list[list[float]], list[str]]:
-    rows = []
-    turned = _within(told[0][2], *_TURN) is not None
-    for time, _, message in told:
-        p, q = _within(message, *_POINT), _within(message, *_TURN)
-        if p is not None:
-            rows.append([time, float(p.x), float(p.y), float(p.z), *((q.w, q.x, q.y, q.z) if turned and q else ())])
-    titles = ("time [s]", "x [m]", "y [m]", "z [m]")
-    rest = [] if len(rows) == len(told) else [f"{counted(len(told) - len(rows), 'message')} without a point left out"]
-    return (*titles, "qw", "qx", "qy", "qz") if turned else titles, rows, rest
+def _point_of(message: Any, told: Told) -> list[float]:
+    """Return the numbers of a message with a point or a pose, in the order of its columns."""
+    found = []
+    for way, axes in ((told.point, "xyz"), (told.turn, "wxyz" if told.turn else "")):
+        part = message
+        for name in way:
+            part = getattr(part, name)
+        found += [float(getattr(part, axis)) for axis in axes]
+    return found
 
 
 def _topic(name: str, kind: str, of: str, times: Array) -> Topic:
@@ -140,65 +155,45 @@ def _topic(name: str, kind: str, of: str, times: Array) -> Topic:
     return Topic(name, kind, len(times), rate, float(seconds.max(initial=0.0)), of)
 
 
-def _made_of(kind: str, message: Any) -> str:
-    """Return which table messages can become: "joints", "pose", "point", or none ("")."""
-    if kind == _JOINTS:
-        return "joints"
-    if _within(message, *_POINT) is None:
-        return ""
-    return "point" if _within(message, *_TURN) is None else "pose"
+def _stamp(message: Any) -> int:
+    """Return when a message was made, in ns: what its header says, which is 0 where nobody has set it."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
-def _within(message: Any, names: tuple[str, ...], needed: tuple[str, ...]) -> Any:
-    """Return the part of a message, or of the pose or transform in it, that has these numbers; None where none has."""
-    for name in names:
-        part = getattr(message, name, None)
-        if part is not None and all(hasattr(part, axis) for axis in needed):
-            return part
-    # A point by itself is its own place; a quaternion by itself is none.
-    if "position" in names and all(hasattr(message, axis) for axis in needed) and not hasattr(message, "w"):
-        return message
-    for name in _INSIDE:
-        part = getattr(message, name, None)
-        if part is not None and (found := _within(part, names, needed)) is not None:
-            return found
-    return None
+def _messages(reader: Any, path: Path, wanted: str | None) -> Iterator[tuple[str, str, Told, int, Any]]:
+    """Yield topic, type, what it can become, time of recording and message; of transforms every frame by itself.
 
-
-def _stamp(message: Any, recorded: int) -> int:
-    """Return when a message was made, in ns: what its header says, unless that is 0, else when it was recorded."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    made = 0 if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-    return made or recorded
-
-
-def _messages(reader: Any, path: Path, wanted: str | None) -> Iterator[tuple[str, str, int, Any]]:
-    """Yield topic, kind, time of recording and message; of transforms every frame by itself."""
-    chosen = [one for one in reader.connections if wanted is None or _may_hold(one, wanted)]
+    What can become nothing, and what is only to be listed, is not read: its message is None.
+    """
+    types = reader.typestore.fielddefs
+    told = {kind: told_by(types, kind) for kind in {one.msgtype for one in reader.connections}}
+    chosen = [one for one in reader.connections if wanted is None or _may_hold(one, told[one.msgtype], wanted)]
     if not chosen:
         return
-    seen: set[str] = set()
+    values = Values(path, _size(path), types)
     for count, (connection, time, raw) in enumerate(reader.messages(connections=chosen)):
         if count >= _MOST_MESSAGES:
             raise MeasurementError(f"{path}: has more than {_MOST_MESSAGES} messages; cut it into parts.")
         name, kind = connection.topic, connection.msgtype
-        # To list topics, one message of each tells what it is.
-        if wanted is None and name in seen and kind != _TF:
-            yield name, kind, time, None
+        of = told[kind]
+        if not of.of or (wanted is None and not of.frames):
+            values.pass_by()
+            yield name, kind, of, time, None
             continue
-        seen.add(name)
+        values.read(kind, raw)
         message = reader.deserialize(raw, kind)
-        if kind != _TF:
-            yield name, kind, time, message
+        if not of.frames:
+            yield name, kind, of, time, message
             continue
         for transform in message.transforms:
             if wanted is None or wanted == f"{name}:{transform.child_frame_id}":
-                yield f"{name}:{transform.child_frame_id}", kind, time, transform
+                yield f"{name}:{transform.child_frame_id}", kind, of, time, transform
 
 
-def _may_hold(connection: Any, wanted: str) -> bool:
+def _may_hold(connection: Any, told: Told, wanted: str) -> bool:
     """Return whether a topic, or a frame of transforms, of this name is among the messages of a connection."""
-    if connection.msgtype == _TF:
+    if told.frames:
         return wanted.startswith(f"{connection.topic}:")
     return bool(connection.topic == wanted)
 

@@ -8,11 +8,13 @@ recording is open: they stop at a size. A database is read for what it declares 
 import bz2
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 from calib.foundations.errors import MeasurementError
+from calib.measurement.formats.message_types import Definitions
 
 # One chunk, and one message packed by itself; writers make chunks of some megabytes.
 LARGEST_CHUNK = 256_000_000
@@ -40,21 +42,32 @@ class Unpacker:
                 pieces.append(piece)
                 size += len(piece)
                 if size > most:
-                    raise MeasurementError(
-                        f"{self._where}: unpacks to more than {LARGEST_CHUNK} bytes at once, or in all to more than "
-                        f"{MOST_PER_BYTE} times its size."
-                    )
+                    raise self._too_much()
                 if not piece and made.needs_input:
                     raise ValueError("a chunk ends too early")
             data = made.unused_data or b""
         self._left -= size
         return b"".join(pieces)
 
+    def as_it_is(self, data: bytes) -> bytes:
+        """Return a chunk that is not packed: an index may point to the same one many times."""
+        self._left -= len(data)
+        if self._left < 0:
+            raise self._too_much()
+        return data
+
+    def _too_much(self) -> MeasurementError:
+        return MeasurementError(
+            f"{self._where}: unpacks to more than {LARGEST_CHUNK} bytes at once, or in all to more than "
+            f"{MOST_PER_BYTE} times its size."
+        )
+
 
 @contextmanager
 def limited(where: Path, size: int) -> Iterator[None]:
     """Give rosbags these decompressors for as long as a recording of ``size`` bytes is read."""
     from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 - an extra
+    from rosbags.highlevel import anyreader  # noqa: PLC0415
     from rosbags.rosbag1 import reader as of_ros1  # noqa: PLC0415
     from rosbags.rosbag2 import reader as of_ros2  # noqa: PLC0415
     from rosbags.rosbag2 import storage_mcap as of_mcap  # noqa: PLC0415
@@ -68,15 +81,38 @@ def limited(where: Path, size: int) -> Iterator[None]:
     def refused(*_: object) -> Any:
         raise MeasurementError(f"{where}: is packed file by file; unpack it first: zstd -d.")
 
-    ros1 = {"bz2": one(bz2.BZ2Decompressor), "lz4": one(LZ4FrameDecompressor)}
-    mcap = {"lz4": ros1["lz4"], "zstd": one(zstd.ZstdDecompressor)}
+    def plain(data: bytes, _: int = 0) -> bytes:
+        return unpacker.as_it_is(data)
+
+    ros1 = {"none": plain, "bz2": one(bz2.BZ2Decompressor), "lz4": one(LZ4FrameDecompressor)}
+    mcap = {"": plain, "lz4": ros1["lz4"], "zstd": one(zstd.ZstdDecompressor)}
     of_messages = SimpleNamespace(decompress=mcap["zstd"], open=refused)
 
     def database(path: Any) -> Any:
         refuse_computed(Path(str(path)))
         return of_ros2.Sqlite3Reader(path)
 
+    class Indexed(of_ros1.Reader):  # type: ignore[misc]  # rosbags is an extra, which is not looked at
+        """Reads no more of indexes than the file has: chunks may share one."""
+
+        read = 0
+
+        def read_index_data(self, pos: int, indexes: Any) -> None:
+            before = self.bio.tell() if self.bio else 0
+            super().read_index_data(pos, indexes)
+            self.read += (self.bio.tell() if self.bio else 0) - before
+            if self.read > size:
+                raise MeasurementError(f"{where}: has indexes that are larger than the file.")
+
+    definitions = Definitions(where)
+    parsers = {
+        "Reader1": Indexed,
+        "get_types_from_msg": partial(definitions.of_messages, anyreader.get_types_from_msg),
+        "get_types_from_idl": partial(definitions.of_idl, anyreader.get_types_from_idl),
+    }
+
     tables: tuple[tuple[Any, dict[str, Any]], ...] = (
+        (vars(anyreader), parsers),
         (of_ros1.decompressors, ros1),
         (of_mcap.DECOMPRESSORS, mcap),
         (vars(of_ros2), {"zstd": of_messages}),
