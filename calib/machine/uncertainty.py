@@ -88,12 +88,12 @@ class Uncertainty:
     All is told in the state of the machine (:mod:`calib.identification.machine`), n numbers for the robot of the URDF,
     its base and its tools; angles of base and tools are small turns of where they are. ``factor`` (n, r): the
     covariance of the state is ``factor @ factor.T``; ``causes``: how many columns the first three of ``CAUSES`` have in
-    it, in order. ``left_out``: errors of the readings that the model leaves out, whose columns are the last ones, as
-    what they do to the state has to be set against what they do to the tool; None where that is not known.
+    it, in order. ``left_out``: errors of the readings that the model leaves out, whose columns are the last ones,
+    as what they do to the state has to be set against what they do to the tool; None where that is not known.
     ``null_basis`` (n, k): changes of the state in the null space, each one parameter scale long. ``position`` and
-    ``orientation``: the noise of lengths and of angles, None where none was measured. ``identified`` (nr, 2): least and greatest of every reading
-    in the data. ``closure_determinant``: how near loops came to a dead centre there, where it is 0; None without
-    loops, or where it is not known.
+    ``orientation``: the noise of lengths and of angles, None where none was measured. ``identified`` (nr, 2): least
+    and greatest of every reading in the data. ``closure_determinant``: how near loops came to a dead centre there,
+    where it is 0; None without loops, or where it is not known.
     """
 
     factor: Array
