@@ -11,7 +11,8 @@ a pose differ by; each of these has a noise of its own, and only the first tells
 
 Of waves and wind-up the residuals tell more than sizes. A dominant one is as large as it is, and not as those are that
 are alike. So what counts is the expected product of their coefficients given the residuals: that of their likeliest
-values, and what is left in doubt of them (bias and variance, as of an effect that is known and not corrected).
+values, and what is left in doubt of them (bias and variance, as of an effect that is known and not corrected). That
+doubt is four fifths as it would be if the errors were just of these functions, and a fifth as if nothing had been seen.
 """
 
 import itertools
@@ -51,6 +52,9 @@ _FAR = 2.0
 _ALIKE = 1.4
 # The power of a size by which the likelihood is multiplied, twice.
 _OFF_ZERO = 0.5
+# Errors of a robot are not quite of the functions that stand for them, so that residuals tell less of coefficients than
+# they seem to: of two variances of a coefficient, after and before the residuals are seen, so much is of the former.
+_BELIEVED = 0.8
 # Longest lag of it, in rows.
 _LONGEST_LAG = 100
 # Singular values below this share of the largest are rounding.
@@ -355,7 +359,7 @@ def _instrument(problem: Problem, sigmas: tuple[Array, ...]) -> Array:
 class _Learned(NamedTuple):
     """The likeliest ``sizes`` (m,) of all that is left out, ``noise`` (c,) and ``coefficients`` (m,).
 
-    ``root`` (m, m + 1): ``root @ root.T`` is the expected product of the coefficients.
+    ``root`` (m, 2 m + 1): ``root @ root.T`` is the expected product of the coefficients.
     """
 
     sizes: Array
@@ -389,7 +393,8 @@ class _Taught(NamedTuple):
         lower = scipy.linalg.cholesky(H[:m, :m], lower=True)
         found = -scipy.linalg.cho_solve((lower, True), H[:m, m])
         doubt = scipy.linalg.solve_triangular(lower, np.eye(m), lower=True, trans=1)
-        return _Learned(sizes[self.group], noise, found, np.column_stack([found, doubt]))
+        before = np.sqrt(1.0 - _BELIEVED) * np.diag(sizes[self.group])
+        return _Learned(sizes[self.group], noise, found, np.column_stack([found, np.sqrt(_BELIEVED) * doubt, before]))
 
 
 def _sigmas(fit: Fit, problem: Problem) -> tuple[Array, ...]:
