@@ -8,6 +8,11 @@ sandwich of as many columns as parameters and waves, however many rows there are
 Rows that follow each other closely, as those of a stream, err together beyond all that. The autocorrelation of what is
 left says how many rows count as one. Rows that repeat a pose are taken apart, into the means of poses, and what rows of
 a pose differ by; each of these has a noise of its own, and only the first tells how sure the solution is.
+
+Of waves and wind-up the residuals tell more than sizes. A dominant one is as large as it is, and not as those are that
+are alike. So what counts is the expected product of their coefficients given the residuals: that of their likeliest
+values, and what is left in doubt of them (bias and variance, as of an effect that is known and not corrected). That
+doubt is four fifths as it would be if the errors were just of these functions, and a fifth as if nothing had been seen.
 """
 
 import itertools
@@ -16,6 +21,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.chance import correlation_time
@@ -33,7 +39,8 @@ from calib.identification.system import Evaluation, Problem, evaluate
 from calib.identification.widths import NormalEquations, likelihood, searched
 from calib.machine.not_seen import likely_widths
 from calib.machine.systematic import Systematic, usual_waves
-from calib.machine.uncertainty import Waves
+from calib.machine.uncertainty import LeftOut, Waves, WindUp
+from calib.machine.winding import ReadingErrors, usual_wind_up
 from calib.measurement.poses import poses_of
 
 # Directions that the residuals must see, given sizes that are usual, before they may teach one: else it stays usual.
@@ -45,6 +52,9 @@ _FAR = 2.0
 _ALIKE = 1.4
 # The power of a size by which the likelihood is multiplied, twice.
 _OFF_ZERO = 0.5
+# Errors of a robot are not quite of the functions that stand for them, so that residuals tell less of coefficients than
+# they seem to: of two variances of a coefficient, after and before the residuals are seen, so much is of the former.
+_BELIEVED = 0.8
 # Longest lag of it, in rows.
 _LONGEST_LAG = 100
 # Singular values below this share of the largest are rounding.
@@ -55,7 +65,8 @@ class ErrorsByCause(NamedTuple):
     """The error of a solution by its causes: columns (p, k) for errors of size 1, in parameter scales.
 
     ``instrument``: of noise and drift of the instrument; ``unseen``: of priors, stated and weak; ``scatter``: of what
-    the model leaves out and looks like noise; ``waves``: of what follows the readings, as :class:`Waves` has it.
+    the model leaves out and looks like noise; ``of_readings``: of what follows the readings, a column for each of the
+    root of ``left_out``.
     ``noise`` (c,): of every component the size of all noise that looks random, as a share of what the fit took it for;
     ``freedom`` (c,): with so many degrees of freedom. ``repeated`` (c,): whether its rows of one pose err together.
     """
@@ -65,8 +76,8 @@ class ErrorsByCause(NamedTuple):
     instrument: Array
     unseen: Array
     scatter: Array
-    waves: Array
-    left_out: Waves
+    of_readings: Array
+    left_out: LeftOut
     noise: Array
     freedom: Array
     repeated: BoolArray
@@ -88,8 +99,10 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     problem = Problem(fit.model, every, frames, fit.measurements, held, relations, fit.losses, together=fit.together)
     split = _split(fit, problem)
     x = values_at(fit.model.robot, every, frames, held)
-    at, sigmas, waves = problem.machine(x), _sigmas(fit, problem), usual_waves(fit.model.robot, identified)
-    systematic = Systematic(problem, at, sigmas, waves, scales(every), split)
+    at, sigmas = problem.machine(x), _sigmas(fit, problem)
+    waves, wind_up = usual_waves(fit.robot, identified), usual_wind_up(fit.robot)
+    of_readings = ReadingErrors(fit.robot, waves, wind_up)
+    systematic = Systematic(problem, at, sigmas, of_readings, scales(every), split)
     parameters = tuple(every[k] for k in split.common)
     p, m, free = len(parameters), systematic.columns, int(np.count_nonzero(split.common < len(fit.parameters)))
     levels = _levels(fit, problem)
@@ -101,23 +114,25 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     solved = _solved(parameters, evaluate(problem, sigmas, x, split), data, free)
     from_data, left = solved.from_data, solved.left
 
-    pairs = waves.width.size
+    sized = _sized(waves, wind_up)
+    drifts = m - of_readings.many
     taught = _Taught(
         _by_level([left[a:b].T @ left[a:b] for a, b in itertools.pairwise(ends)], level, scale),
         np.array([max(one.freedom, 1.0) for one in levels]),
         _instrument(problem, sigmas)[[one.component for one in levels]],
-        # Cosine and sine of one order of one reading have one size; drifts have one.
-        np.concatenate([np.repeat(np.arange(pairs), 2), np.full(m - waves.many, pairs)]).astype(np.intp),
-        m > waves.many,
+        np.concatenate([sized, np.full(drifts, sized.max() + 1)]),
+        drifts > 0,
     )
     rows_as_one = np.ones(len(levels))
-    sizes, noise, found = taught.sizes(rows_as_one)
+    learned = taught.sizes(rows_as_one)
     # What the solution leaves when errors of those sizes are taken off as well.
-    taken = np.concatenate([-from_data @ (data[:, p:] @ np.append(found, 1.0)), found, [1.0]])
+    found = np.append(learned.coefficients, 1.0)
+    taken = np.concatenate([-from_data @ (data[:, p:] @ found), found])
     counted = _rows_as_one(problem, systematic, split, levels, parts, taken)
     if np.any(counted > 1.0):
         rows_as_one = counted
-        sizes, noise, _ = taught.sizes(rows_as_one)
+        learned = taught.sizes(rows_as_one)
+    noise = learned.noise
 
     of_rows = np.diff(ends)
     seen = np.repeat(np.minimum(taught.instrument[level] / (noise[level] * np.sqrt(scale)), 1.0), of_rows)
@@ -127,19 +142,29 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     z = x[split.common] / scales(parameters)
     widths = likely_widths(parameters, solved.J / sigma[:, None], data[:, -1] / sigma, z)
     unseen = np.hstack([solved.from_relations, solved.from_priors * (hold * widths)])
-    bias = from_data @ data[:, p : p + m] * sizes[taught.group]
+    bias = from_data @ data[:, p : p + m]
+    root = _short(learned.root[: of_readings.many])
     off = np.zeros(len(every)) if fit.off is None else np.append(fit.off, np.zeros(len(fit.held)))
     off = off[split.common] / scales(parameters)
     return ErrorsByCause(
         parameters,
         at,
-        _short(np.hstack([through * seen, bias[:, waves.many :]])),
+        _short(np.hstack([through * seen, bias[:, of_readings.many :] * learned.sizes[of_readings.many :]])),
         _short(unseen),
         _short(np.hstack([through * np.sqrt(1.0 - seen**2), off[:, None]])),
-        bias[:, : waves.many],
-        waves._replace(width=read_only(waves.width * sizes[:pairs].reshape(waves.width.shape))),
+        bias[:, : of_readings.many] @ root,
+        LeftOut(waves, wind_up, read_only(root)),
         *_by_component(levels, noise),
     )
+
+
+def _sized(waves: Waves, wind_up: WindUp) -> IntArray:
+    """Return the number (many,) of the size of every error of a reading.
+
+    Cosine and sine of one order of one reading have one size, and all wind-up of one reading, whose drive it is.
+    """
+    drives = np.unique([term.reading for term in wind_up.terms], return_inverse=True)[1].reshape(-1)
+    return np.concatenate([np.repeat(np.arange(waves.width.size), 2), waves.width.size + drives]).astype(np.intp)
 
 
 class _Poses(NamedTuple):
@@ -331,6 +356,18 @@ def _instrument(problem: Problem, sigmas: tuple[Array, ...]) -> Array:
     return np.array([np.sqrt(np.mean(shares[c.measurements][:, c.columns] ** 2)) for c in problem.components])
 
 
+class _Learned(NamedTuple):
+    """The likeliest ``sizes`` (m,) of all that is left out, ``noise`` (c,) and ``coefficients`` (m,).
+
+    ``root`` (m, 2 m + 1): ``root @ root.T`` is the expected product of the coefficients.
+    """
+
+    sizes: Array
+    noise: Array
+    coefficients: Array
+    root: Array
+
+
 class _Taught(NamedTuple):
     """What teaches sizes: grams (m + 1, m + 1) of ``[B r]`` that the solution leaves, of every component.
 
@@ -344,8 +381,8 @@ class _Taught(NamedTuple):
     group: IntArray
     drifts: bool
 
-    def sizes(self, rows_as_one: Array) -> tuple[Array, Array, Array]:
-        """Return the likeliest sizes (g,) and noise (c,), and coefficients (m,), where so many rows (c,) are one."""
+    def sizes(self, rows_as_one: Array) -> _Learned:
+        """Return what the grams teach, where so many rows (c,) are one."""
         grams = np.stack(self.grams) / rows_as_one[:, None, None]
         m, c = len(self.group), len(grams)
         known, fixed = np.zeros((m + 1, m + 1)), np.zeros(c, dtype=bool)
@@ -353,7 +390,11 @@ class _Taught(NamedTuple):
         sizes, noise = _sizes(rows, self.drifts)
         H = np.tensordot(noise**-2.0, grams, 1)
         H[range(m), range(m)] += sizes[self.group] ** -2.0
-        return sizes, noise, np.asarray(-np.linalg.solve(H[:m, :m], H[:m, m]), dtype=np.float64)
+        lower = scipy.linalg.cholesky(H[:m, :m], lower=True)
+        found = -scipy.linalg.cho_solve((lower, True), H[:m, m])
+        doubt = scipy.linalg.solve_triangular(lower, np.eye(m), lower=True, trans=1)
+        before = np.sqrt(1.0 - _BELIEVED) * np.diag(sizes[self.group])
+        return _Learned(sizes[self.group], noise, found, np.column_stack([found, np.sqrt(_BELIEVED) * doubt, before]))
 
 
 def _sigmas(fit: Fit, problem: Problem) -> tuple[Array, ...]:
@@ -368,8 +409,8 @@ def _sigmas(fit: Fit, problem: Problem) -> tuple[Array, ...]:
 def _sizes(rows: NormalEquations, drifts: bool) -> tuple[Array, Array]:
     """Return the likeliest sizes (g,) of what is left out, in usual ones, and of the noise (c,).
 
-    ``rows.group``: number of every wave, and one more where an instrument may drift. Waves have sizes of their own, but
-    are expected to be alike: their logarithms scatter by ``_ALIKE`` about a common one. As in
+    ``rows.group``: number of every wave and wind-up, and one more where an instrument may drift. All but the drift have
+    sizes of their own, but are expected to be alike: their logarithms scatter by ``_ALIKE`` about a common one. As in
     :mod:`calib.identification.widths` the likelihood is multiplied by a power of the common size, and of that of the
     drift, so that nothing is said to be zero because it does not show.
     """

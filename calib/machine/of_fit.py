@@ -71,7 +71,7 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     identified = np.stack([np.nanmin(readings, axis=0), np.nanmax(readings, axis=0)], axis=1)
     errors = errors_by_cause(fit, identified)
     state = _to_state(fit, errors.parameters, errors.at) * scales(errors.parameters)
-    parts = (errors.instrument, errors.unseen, errors.scatter, errors.waves)
+    parts = (errors.instrument, errors.unseen, errors.scatter, errors.of_readings)
     own = _of_machine(fit)
     parameters = [fit.parameters[k] for k in own]
     null_basis = _to_state(fit, parameters, fit.machine) @ (fit.null_basis[own] * scales(parameters)[:, None])

@@ -1,18 +1,18 @@
 """What residuals show to be systematic: errors of the joints' readings that follow the reading, and a drift over rows.
 
 A model leaves out what it has no parameters for, and what it leaves out repeats. Least squares takes residuals for
-noise, which would average out. So two families of errors that no parameter stands for are laid over the fit:
+noise, which would average out. So three families of errors that no parameter stands for are laid over the fit:
 
 * every reading is off by a smooth function of itself: waves ``cos(k t)``, ``sin(k t)`` with ``t = 2 pi u / period`` and
   standard deviations ``w / k``;
+* every reading is off by wind-up under gravity, which follows several readings at once (:mod:`calib.machine.winding`);
 * every measured number drifts over the rows of its set as a random walk does: its first eigenfunctions
   ``sqrt(2) sin(f t) / f`` with ``f = (j - 1/2) pi``, ``t`` from 0 to 1, of standard deviation ``d`` sigmas.
 
-Their coefficients are not estimated and nothing is corrected by them. Their two sizes, w and d, are the likeliest ones
-for the residuals (:mod:`calib.identification.widths`), together with the size of the noise; and what is not solved for,
-but known in size, is carried to the result by the sensitivity of the solution to it, as "consider parameters" are in
-the determination of orbits (B. D. Tapley, B. E. Schutz, G. H. Born, *Statistical orbit determination*, 2004, chapter
-6).
+Nothing is corrected by their coefficients. Their sizes are the likeliest ones for the residuals
+(:mod:`calib.identification.widths`), together with the size of the noise; and what is not solved for is carried to the
+result by the sensitivity of the solution to it, as "consider parameters" are in the determination of orbits (B. D.
+Tapley, B. E. Schutz, G. H. Born, *Statistical orbit determination*, 2004, chapter 6).
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,6 +27,7 @@ from calib.identification.machine import Machine
 from calib.identification.rates import Block
 from calib.identification.system import Problem
 from calib.machine.uncertainty import Waves
+from calib.machine.winding import ReadingErrors
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import Conditions
 from calib.robot.robot import Robot, TipModel
@@ -62,12 +63,21 @@ class SystematicRows(NamedTuple):
 
 
 class Systematic:
-    """The columns B of a problem for waves of the usual width, then drifts of one sigma; ``split``: that of J."""
+    """The columns B of a problem for errors of the readings, ``of_readings``, then drifts of one sigma.
+
+    ``split``: that of J.
+    """
 
     def __init__(
-        self, problem: Problem, at: Machine, sigmas: Sequence[Array], waves: Waves, units: Array, split: Split
+        self,
+        problem: Problem,
+        at: Machine,
+        sigmas: Sequence[Array],
+        of_readings: ReadingErrors,
+        units: Array,
+        split: Split,
     ) -> None:
-        self._problem, self._at, self._sigmas, self._waves = problem, at, sigmas, waves
+        self._problem, self._at, self._sigmas, self._of_readings = problem, at, sigmas, of_readings
         self.rates = problem.rates(at, units, split)
         self._tips: dict[str, TipModel] = {}
         self._many = [data.sigma.shape[1] * _drifts(len(data)) for data in problem.measurements]
@@ -75,7 +85,7 @@ class Systematic:
     @property
     def columns(self) -> int:
         """How many columns B has: m."""
-        return self._waves.many + int(sum(self._many))
+        return self._of_readings.many + int(sum(self._many))
 
     def rows(self) -> Iterator[SystematicRows]:
         """Yield the rows of every component, block by block, in the order of the sets."""
@@ -84,8 +94,8 @@ class Systematic:
         for i, (data, sigma) in enumerate(zip(problem.measurements, self._sigmas, strict=True)):
             own = [(c, component.columns) for c, component in components if component.measurements == i]
             for block in self.rates.blocks(data):
-                B = np.concatenate([self._waved(data, block), self._drifted(i, block.rows)], axis=2)
-                B[:, :, : self._waves.many] /= sigma[block.rows, :, None]
+                B = np.concatenate([self._misread(data, block), self._drifted(i, block.rows)], axis=2)
+                B[:, :, : self._of_readings.many] /= sigma[block.rows, :, None]
                 whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
                 whole /= sigma[block.rows, :, None]
                 whole = np.concatenate([whole[:, :, :-1], B, whole[:, :, -1:]], axis=2)
@@ -98,9 +108,9 @@ class Systematic:
                         c, whole[:, columns], by_own if by_own is None else by_own[:, columns], block.block
                     )
 
-    def _waved(self, data: Measurements, block: Block) -> Array:
+    def _misread(self, data: Measurements, block: Block) -> Array:
         frames, rows = self._at.frames, block.rows
-        found = np.zeros((len(block.J), data.sigma.shape[1], self._waves.many))
+        found = np.zeros((len(block.J), data.sigma.shape[1], self._of_readings.many))
         for end, moved in zip(data.ends, block.moved, strict=True):
             readings, told, tools = end.readings[rows], end.conditions.subset(rows), frames.tools[end.tool[rows]]
             if end.points is not None:
@@ -112,7 +122,8 @@ class Systematic:
                     _, seat = self._tip(link).driven(readings[own], told.subset(own))
                     by_reading[own] -= rigid.adjoint(rigid.inverse(moved.placed[own])) @ seat
             by_shift, by_turn = (rows @ moved.placed[:, :3, :3] for rows in moved.by_motion)
-            found += self._waves.at(readings, by_shift @ by_reading[:, :3] + by_turn @ by_reading[:, 3:])
+            by_reading = by_shift @ by_reading[:, :3] + by_turn @ by_reading[:, 3:]
+            found += self._of_readings.at(readings, told, by_reading)
         return found
 
     def _tip(self, link: str) -> TipModel:

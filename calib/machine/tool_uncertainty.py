@@ -22,7 +22,8 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.grid import axes_of
 from calib.machine.residual_model import ResidualModel
 from calib.machine.tool_motion import jacobian_of
-from calib.machine.uncertainty import CAUSES, ToolUncertainty, Uncertainty, UncertaintyMap, Waves
+from calib.machine.uncertainty import CAUSES, ToolUncertainty, Uncertainty, UncertaintyMap
+from calib.machine.winding import ReadingErrors
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.measurements import Measurements
 from calib.robot.conditions import Conditions, ordinary
@@ -127,7 +128,7 @@ class _View:
 
     def at(self, readings: Array, conditions: Conditions) -> "_Seen":
         """Return how the tip moves at readings (N, nr). Raises as :meth:`Robot.motion` does."""
-        return _Seen(self, self._tips.motion(self.machine.robot.own(readings), conditions), readings)
+        return _Seen(self, self._tips.motion(self.machine.robot.own(readings), conditions), readings, conditions)
 
     def told(self, changes: Array) -> Array:
         """Return changes (n, k) of the state without those that are not told."""
@@ -149,6 +150,7 @@ class _Seen(NamedTuple):
     view: _View
     motion: TipMotion
     readings: Array
+    conditions: Conditions
 
     def motions(self, changes: Sequence[Array]) -> list[Array]:
         """Return the motions (N, 6, k) of the tool for each of several changes (n, k) of the state."""
@@ -160,13 +162,13 @@ class _Seen(NamedTuple):
                 moved[:, :3] = self.view.machine.base[:3, :3].T @ moved[:, :3]
         return found
 
-    def waved(self, waves: Waves) -> Array:
-        """Return what one standard deviation of every wave does to the tool itself (N, 6, many)."""
+    def misread(self, errors: ReadingErrors) -> Array:
+        """Return what each error of the readings, of its width, does to the tool itself (N, 6, many)."""
         machine, T_tool = self.view.machine, self.view.T_tool
         by_reading = rigid.adjoint(rigid.inverse(T_tool)) @ self.motion.by_readings(self.readings)
         axes = (self.motion.placement @ T_tool)[:, :3, :3]
         by_reading[:, :3] = (machine.base[:3, :3] @ axes if self.view.base else axes) @ by_reading[:, :3]
-        return waves.at(self.readings, by_reading)
+        return errors.at(self.readings, self.conditions, by_reading)
 
     def axes(self, model: ResidualModel) -> Array:
         """Return the axes (N, 3, 3) in which a residual model has its errors, seen as the tool's position is."""
@@ -179,6 +181,8 @@ class _Errors:
     def __init__(self, view: _View, known: Uncertainty) -> None:
         self.view, self.known = view, known
         self._changes = [view.told(known.factor), view.told(known.null_basis)]
+        left_out = known.left_out
+        self._of_readings = left_out and ReadingErrors(view.machine.robot, left_out.waves, left_out.wind_up)
         # What a residual model leans on, which neighbours share: of every point, by its bytes, where its errors are.
         self._numbers: dict[bytes, int] = {}
         self._there = np.zeros((0, 3, known.factor.shape[1]))
@@ -209,10 +213,10 @@ class _Errors:
 
     def _of_kinematics(self, seen: _Seen) -> tuple[Array, Array]:
         found, unseen = seen.motions(self._changes)
-        waves = self.known.waves
-        if waves is not None and len(found):
+        left_out = self.known.left_out
+        if left_out is not None and self._of_readings is not None and len(found):
             # The machine has followed them as far as it could, which is less than the tool does.
-            found[:, :, -waves.many :] -= seen.waved(waves)
+            found[:, :, -left_out.columns :] -= seen.misread(self._of_readings) @ left_out.root
         return found, unseen
 
     def _leant_on(self, model: ResidualModel, points: Array) -> IntArray:
@@ -288,7 +292,7 @@ def uncertainty_map(
     done.
     """
     readings = random_readings(
-        machine.robot, samples, limits, (machine.deviations,), determinant=closure_determinant, seed=seed
+        machine.robot, samples, limits, (machine.deviations, None), determinant=closure_determinant, seed=seed
     )
     view = _View(machine.of(machine.tool_named(tool)), tool, base=base, tool_pose=True)
     errors, done = _Errors(view, machine.known_uncertainty), 0

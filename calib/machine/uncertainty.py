@@ -9,6 +9,7 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound
 from calib.foundations.units import MM
+from calib.robot.terms import JointTerm
 
 # The causes of doubt, as a budget lists them. The instrument: its noise and drift, as they reach the machine; unless it
 # is stated, its noise cannot be told from the robot's, and counts as the model's. Parameters: what the data do not show
@@ -20,7 +21,7 @@ CAUSES = ("instrument", "parameters", "model", "residual_model")
 class Waves(NamedTuple):
     """Errors of the readings u that no parameter stands for: ``cos(2 pi k u / period)``, and sines, of orders 1 to K.
 
-    ``period`` (nr,) in rad or m; ``width`` (nr, K): the standard deviations of their coefficients, in rad or m.
+    ``period`` (nr,) in rad or m; ``width`` (nr, K): the sizes that their coefficients are multiples of, in rad or m.
     """
 
     period: Array
@@ -32,20 +33,47 @@ class Waves(NamedTuple):
         return 2 * self.width.size
 
     def at(self, readings: Array, by_reading: Array) -> Array:
-        """Return what one standard deviation of every wave does (N, d, many), from derivatives (N, d, nr)."""
+        """Return what every wave of its width does (N, d, many), from derivatives (N, d, nr) by the readings."""
         orders = np.arange(1, self.width.shape[1] + 1)
         phase = 2.0 * np.pi * (readings / self.period)[:, :, None] * orders
         waves = np.stack([np.cos(phase), np.sin(phase)], axis=3) * self.width[:, :, None]
         return (by_reading[:, :, :, None, None] * waves[:, None]).reshape(*by_reading.shape[:2], -1)
 
 
+class WindUp(NamedTuple):
+    """Wind-up of the readings under gravity that no parameter stands for: compliance times masses that nobody states.
+
+    ``terms`` (k,): of kind "moment"; ``width`` (k,): the sizes that their coefficients are multiples of.
+    """
+
+    terms: tuple[JointTerm, ...]
+    width: Array
+
+
+class LeftOut(NamedTuple):
+    """Errors of the readings that no parameter stands for: waves and wind-up.
+
+    ``root`` (many, r): ``root @ root.T`` is the expected product of their coefficients, in widths, waves before
+    wind-up: of all that the residuals say of them, their likeliest values as well, which nothing is corrected by.
+    """
+
+    waves: Waves
+    wind_up: WindUp
+    root: Array
+
+    @property
+    def columns(self) -> int:
+        """How many columns the root has: r."""
+        return int(self.root.shape[1])
+
+
 @dataclass(frozen=True, slots=True)
 class NoiseLevel:
     """Noise of one coordinate of a quantity, in m or rad: the model's part, and both parts together.
 
-    The model's part is what it leaves out and looks random, beside :class:`Waves`; all of it where the instrument's is
-    not stated. ``degrees_of_freedom`` of the estimate: infinite where nothing was estimated, as the instrument explains
-    all.
+    The model's part is what it leaves out and looks random, beside :class:`LeftOut`; all of it where the instrument's
+    is not stated. ``degrees_of_freedom`` of the estimate: infinite where nothing was estimated, as the instrument
+    explains all.
     """
 
     model: float
@@ -60,17 +88,17 @@ class Uncertainty:
     All is told in the state of the machine (:mod:`calib.identification.machine`), n numbers for the robot of the URDF,
     its base and its tools; angles of base and tools are small turns of where they are. ``factor`` (n, r): the
     covariance of the state is ``factor @ factor.T``; ``causes``: how many columns the first three of ``CAUSES`` have in
-    it, in order. ``waves``: what the model leaves out along the readings, whose columns are the last ones, as what they
-    do to the state has to be set against what they do to the tool; None where that is not known. ``null_basis`` (n, k):
-    changes of the state in the null space, each one parameter scale long. ``position`` and ``orientation``: the noise
-    of lengths and of angles, None where none was measured. ``identified`` (nr, 2): least and greatest of every reading
-    in the data. ``closure_determinant``: how near loops came to a dead centre there, where it is 0; None without
-    loops, or where it is not known.
+    it, in order. ``left_out``: errors of the readings that the model leaves out, whose columns are the last ones,
+    as what they do to the state has to be set against what they do to the tool; None where that is not known.
+    ``null_basis`` (n, k): changes of the state in the null space, each one parameter scale long. ``position`` and
+    ``orientation``: the noise of lengths and of angles, None where none was measured. ``identified`` (nr, 2): least
+    and greatest of every reading in the data. ``closure_determinant``: how near loops came to a dead centre there,
+    where it is 0; None without loops, or where it is not known.
     """
 
     factor: Array
     causes: tuple[int, int, int]
-    waves: Waves | None
+    left_out: LeftOut | None
     null_basis: Array
     position: NoiseLevel | None
     orientation: NoiseLevel | None

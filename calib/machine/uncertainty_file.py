@@ -15,8 +15,10 @@ from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.json_text import NotJsonError, validated
 from calib.identification.machine import Layout
 from calib.machine.run import Sha256, refuse_other_run
-from calib.machine.uncertainty import CAUSES, NoiseLevel, Uncertainty, Waves
+from calib.machine.uncertainty import CAUSES, LeftOut, NoiseLevel, Uncertainty, Waves, WindUp
+from calib.robot.joint_terms import foreign
 from calib.robot.robot import Robot
+from calib.robot.terms import JointTerm
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -78,21 +80,37 @@ class WavesEntry(Strict):
     width: dict[str, Annotated[tuple[_Size, ...], Field(min_length=1, max_length=100)]]
 
 
-class UncertaintyFile(Strict):
-    """Schema 2 of ``uncertainty.json``: as :class:`calib.machine.uncertainty.Uncertainty`, in m and rad.
+class WindUpEntry(Strict):
+    """Wind-up of one reading by one mass, as :class:`calib.machine.uncertainty.WindUp` has it."""
 
-    Schema 1 had neither ``causes`` nor ``waves``: all of its factor is put down to the instrument. Rows of ``factor``
-    and ``null_basis``: six deviations of every joint of model.json, the offsets of those that move, then x, y, z, rx,
-    ry, rz of the base, of the base in every other set-up, and of every tool.
+    reading: str
+    body: str
+    width: _Size
+
+    @property
+    def term(self) -> JointTerm:
+        """The term of the robot that it would be."""
+        return JointTerm(self.reading, "moment", body=self.body)
+
+
+class UncertaintyFile(Strict):
+    """Schema 3 of ``uncertainty.json``: as :class:`calib.machine.uncertainty.Uncertainty`, in m and rad.
+
+    Schema 2 had neither ``wind_up`` nor ``left_out``: its waves are as large as their widths, each by itself. Schema 1
+    had neither ``causes`` nor ``waves``: all of its factor is put down to the instrument. Rows of ``factor`` and
+    ``null_basis``: six deviations of every joint of model.json, the offsets of those that move, then x, y, z, rx, ry,
+    rz of the base, of the base in every other set-up, and of every tool.
     """
 
-    schema_: Literal[1, 2] = Field(alias="schema")
+    schema_: Literal[1, 2, 3] = Field(alias="schema")
     run: Sha256 | None = None
     identified: dict[str, _Range]
     position: NoiseEntry | None
     orientation: NoiseEntry | None
     causes: dict[Literal["instrument", "parameters", "model"], Annotated[int, Field(ge=0)]] | None = None
     waves: WavesEntry | None = None
+    wind_up: tuple[WindUpEntry, ...] = ()
+    left_out: tuple[tuple[_Number, ...], ...] | None = None
     closure_determinant: Annotated[float, Field(ge=-_LARGEST_DETERMINANT, le=_LARGEST_DETERMINANT)] | None = None
     factor: tuple[tuple[_Number, ...], ...]
     null_basis: tuple[tuple[_Number, ...], ...]
@@ -100,20 +118,22 @@ class UncertaintyFile(Strict):
 
 def uncertainty_json(uncertainty: Uncertainty, robot: Robot, run: str | None = None) -> str:
     """Return ``uncertainty.json`` of a run's results as text, one line for every row of the matrices."""
-    names = [reading.name for reading in robot.readings]
+    names, left_out = [reading.name for reading in robot.readings], uncertainty.left_out
     ranges = [(float(low), float(high)) for low, high in uncertainty.identified]
     entries = {
-        "schema": 2,
+        "schema": 3,
         **({} if run is None else {"run": run}),
         "identified": dict(zip(names, ranges, strict=True)),
         "position": _plain(uncertainty.position),
         "orientation": _plain(uncertainty.orientation),
         "causes": dict(zip(CAUSES, uncertainty.causes, strict=False)),
-        "waves": _plain_waves(uncertainty.waves, names),
+        "waves": None if left_out is None else _plain_waves(left_out.waves, names),
+        "wind_up": [] if left_out is None else _plain_wind_up(left_out.wind_up),
         **({} if uncertainty.closure_determinant is None else {"closure_determinant": uncertainty.closure_determinant}),
     }
     lines = [f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in entries.items()]
-    for key, matrix in (("factor", uncertainty.factor), ("null_basis", uncertainty.null_basis)):
+    matrices = {"factor": uncertainty.factor, "null_basis": uncertainty.null_basis}
+    for key, matrix in (matrices if left_out is None else matrices | {"left_out": left_out.root}).items():
         rows = ",\n".join(f"    {json.dumps(row, allow_nan=False)}" for row in matrix.tolist())
         lines.append(f"  {json.dumps(key)}: [\n{rows}\n  ]")
     return "{\n" + ",\n".join(lines) + "\n}\n"
@@ -126,11 +146,14 @@ def _plain(level: NoiseLevel | None) -> dict[str, float | None] | None:
     return {**asdict(level), "degrees_of_freedom": freedom}
 
 
-def _plain_waves(waves: Waves | None, names: Sequence[str]) -> dict[str, object] | None:
-    if waves is None:
-        return None
+def _plain_waves(waves: Waves, names: Sequence[str]) -> dict[str, object]:
     period, width = (dict(zip(names, values.tolist(), strict=True)) for values in (waves.period, waves.width))
     return {"period": period, "width": width}
+
+
+def _plain_wind_up(wind_up: WindUp) -> list[dict[str, object]]:
+    every = zip(wind_up.terms, wind_up.width.tolist(), strict=True)
+    return [{"reading": term.reading, "body": term.body, "width": width} for term, width in every]
 
 
 def _counts(causes: Mapping[Any, int]) -> tuple[int, int, int]:
@@ -138,8 +161,18 @@ def _counts(causes: Mapping[Any, int]) -> tuple[int, int, int]:
     return instrument, parameters, model
 
 
-def _are_of(waves: WavesEntry, names: Sequence[str]) -> bool:
-    return list(waves.period) == list(waves.width) == list(names)
+def _left_out(found: UncertaintyFile, waves: WavesEntry, robot: Robot) -> LeftOut | None:
+    """Return what is left out along the readings; None where it is not of this robot."""
+    names, width = [reading.name for reading in robot.readings], _matrix(tuple(waves.width.values()))
+    terms = tuple(entry.term for entry in found.wind_up)
+    if not list(waves.period) == list(waves.width) == names or width is None or foreign(robot, terms):
+        return None
+    many = 2 * width.size + len(terms)
+    root = read_only(np.eye(many)) if found.left_out is None else _matrix(found.left_out)
+    if root is None or len(root) != many:
+        return None
+    wind_up = WindUp(terms, read_only([entry.width for entry in found.wind_up]))
+    return LeftOut(Waves(read_only(list(waves.period.values())), width), wind_up, root)
 
 
 def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncertainty:
@@ -159,13 +192,10 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
     size = Layout(robot, setups, tools).size
     names = [reading.name for reading in robot.readings]
     factor, null_basis = (_matrix(rows) for rows in (found.factor, found.null_basis))
-    waves = None
-    if found.waves is not None:
-        width = _matrix(tuple(found.waves.width.values()))
-        waves = None if width is None else Waves(read_only(list(found.waves.period.values())), width)
+    left_out = None if found.waves is None else _left_out(found, found.waves, robot)
     if (
         list(found.identified) != names
-        or (found.waves is not None and (waves is None or not _are_of(found.waves, names)))
+        or (found.waves is not None and left_out is None)
         or factor is None
         or null_basis is None
         or not len(factor) == len(null_basis) == size
@@ -173,12 +203,12 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
         raise OutputError(f"{path}: is not of the machine in model.json.")
     columns = factor.shape[1]
     causes = (columns, 0, 0) if found.causes is None else _counts(found.causes)
-    if sum(causes) != columns or (waves is not None and waves.many > causes[2]):
+    if sum(causes) != columns or (left_out is not None and left_out.columns > causes[2]):
         raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at causes.")
     return Uncertainty(
         factor,
         causes,
-        waves,
+        left_out,
         null_basis,
         None if found.position is None else found.position.level,
         None if found.orientation is None else found.orientation.level,

@@ -52,7 +52,7 @@ UNSEEN = 100
 PROBABILITY = 0.95
 # One standard deviation of what the model knows of: lengths, angles and zeros.
 LENGTH, ANGLE, ZERO = 0.5e-3, 1e-3, 5e-3
-COMPLIANCE = (1e-6, 5e-6)
+COMPLIANCE = {"wind_up": (1e-6, 5e-6), "strong_wind_up": (1e-5, 1e-4)}
 MASS = 3.0
 # Of numbers drawn evenly in logarithm over a factor of three, with their middle at one: the stated sigma is their rms.
 RMS_OF_THREEFOLD = np.sqrt((3.0 - 1.0 / 3.0) / (2.0 * np.log(3.0)))
@@ -66,6 +66,7 @@ LEFT_OUT = {
     "harmonics_0.05": "joint harmonics of 0.05 mrad, two orders a joint",
     "harmonics_0.15": "joint harmonics of 0.15 mrad, two orders a joint",
     "wind_up": "wind-up under gravity, 1 to 5 urad/Nm",
+    "strong_wind_up": "wind-up under gravity, 10 to 100 urad/Nm",
     "threefold": "noise that varies threefold from row to row, stated by its rms",
     "gross": "outliers of 1 to 20 mm in 2 % of the rows, fitted with Huber's loss",
     "drift": "a drift of the instrument, a random walk to three sigmas; the base aligned to the truth",
@@ -198,9 +199,9 @@ def tracked(robot: str, kind: str, n: int, seed: int) -> Told:
     off = np.zeros_like(q)
     if kind.startswith("harmonics"):
         off = harmonics(rng, q, 1e-3 * float(kind.split("_")[1]))
-    if kind == "wind_up":
+    if kind in COMPLIANCE:
         revolute = [k for k, name in enumerate(found.ranges) if arm.readings[k].dimension == "angle"]
-        off[:, revolute] = rng.uniform(*COMPLIANCE, len(revolute)) * torques(found, q)
+        off[:, revolute] = rng.uniform(*COMPLIANCE[kind], len(revolute)) * torques(found, q)
     position = predict(found, true, q + off, np.zeros(len(q), dtype=np.intp))[0, :, :3, 3]
     sigma = SIGMA * np.ones((n, 1))
     if kind == "threefold":

@@ -13,7 +13,10 @@ from scripts.studies.store import simulate, stored
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("cell", ["ur5 white 60", "panda harmonics_0.15 60", "ur5 wind_up 60", "ur5 gross 60"])
+@pytest.mark.parametrize(
+    "cell",
+    ["ur5 white 60", "panda harmonics_0.15 60", "ur5 wind_up 60", "panda strong_wind_up 60", "ur5 gross 60"],
+)
 def test_regions_hold_the_truth_where_the_model_leaves_things_out(cell: str) -> None:
     told = [coverage.session(cell, seed) for seed in range(1000, 1006)]
     assert np.mean([one.inside for one in told]) > 0.9
@@ -38,7 +41,7 @@ def test_a_store_is_resumed_and_read_once(tmp_path: Path) -> None:
     refused = json.dumps({"cell": "ur5 white 60", "seed": 0, "refused": "why"})
     store.write_text(f"{first}{refused}\n")
     text = coverage.page(stored(store, coverage.cells()))
-    assert "2 simulated sessions in 51 cells" in text
+    assert "2 simulated sessions in 57 cells" in text
     assert "1 were refused" in text
     assert "| UR5, 60 poses | 0 | | | | | | | not run |" in text
 

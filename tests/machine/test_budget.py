@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calib
 from calib.identification.noise import Noise
@@ -16,7 +17,8 @@ from calib.machine.grid import grid_from_residuals
 from calib.machine.of_fit import _beyond, machine_of
 from calib.machine.tool_uncertainty import residual_errors, tool_errors, tool_uncertainty
 from calib.machine.uncertainty import CAUSES, Waves, rms_by_cause
-from tests.support import machines
+from calib.robot.joint_terms import with_joint_terms
+from tests.support import machines, sagging
 from tests.support.machines import Array, Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
@@ -29,6 +31,7 @@ def fitted(
     off: Callable[[Array], Array] = np.zeros_like,
     disturbed: Callable[[Array], Array] | None = None,
     stated: float = SIGMA,
+    observes: str = "position",
     **options: object,
 ) -> tuple[calib.Fit, Callable[[Array], Array], machines.Arm]:
     """A fit to a machine whose readings (N, nr) are off by what nobody tells the fit, and the true tool points."""
@@ -45,8 +48,13 @@ def fitted(
         seen = disturbed(seen)
     columns = {f"{r.name} [rad]": q[:, k] for k, r in enumerate(robot.readings)}
     columns |= {f"{axis} [m]": seen[:, k] for k, axis in enumerate("xyz")}
-    data = calib.read_measurements(columns, robot, sigma=stated)
-    chosen = {"offsets": "all", "placements": "all", "tool": "position"} | options
+    if observes == "pose":
+        turned = Rotation.from_matrix(true.see(q + off(q))[:, :3, :3])
+        turned *= Rotation.from_rotvec(2.0 * SIGMA * rng.standard_normal((rows, 3)))
+        columns |= {f"q{axis}": turned.as_quat()[:, k] for k, axis in enumerate("xyzw")}
+    sigmas = (stated, 2.0 * SIGMA) if observes == "pose" else stated
+    data = calib.read_measurements(columns, robot, observes, sigma=sigmas)
+    chosen = {"offsets": "all", "placements": "all", "tool": "pose" if observes == "pose" else "position"} | options
     return calib.identify(machines.model(robot, **chosen), data), points, arm
 
 
@@ -54,14 +62,25 @@ def through_fit(fit: calib.Fit, readings: Array) -> float:
     """Rms of what scatter that the model leaves out does to the tool through the fit."""
     machine = machine_of(fit)
     known = machine.known_uncertainty
-    assert known.waves is not None
-    start, end = sum(known.causes[:2]), known.factor.shape[1] - known.waves.many
+    assert known.left_out is not None
+    start, end = sum(known.causes[:2]), known.factor.shape[1] - known.left_out.columns
     motions = tool_errors(machine, readings)[:, :3, start:end]
     return float(np.sqrt(np.mean(np.sum(motions**2, axis=(1, 2)))))
 
 
 def waving(readings: Array) -> Array:
     return 1.5e-4 * np.cos(2.0 * readings + np.arange(readings.shape[1]))
+
+
+def winding(readings: Array) -> Array:
+    """What weights make of readings, by drives that give way: a function of several readings at once."""
+    found, walked = np.zeros_like(readings), sagging.Sagging(UR10[0], {})
+    joints = list(machines.arm(*UR10).ranges)
+    for row, at in enumerate(readings):
+        places = walked._places(dict(zip(joints, at, strict=True)))
+        for name, compliance in sagging.SOFT.items():
+            found[row, joints.index(name)] = compliance * walked._torque(name, places, sagging.DOWN, {})
+    return found
 
 
 def share(machine: CalibratedMachine, readings: Array, cause: str) -> float:
@@ -174,18 +193,57 @@ def test_waves_are_errors_of_readings() -> None:
     fit, _, arm = fitted(off=waving)
     machine = machine_of(fit)
     known = machine.known_uncertainty
-    assert known.waves is not None
-    q = arm.draw(np.random.default_rng(2), 3)
+    assert known.left_out is not None
+    q, waves = arm.draw(np.random.default_rng(2), 3), known.left_out.waves
     # With a machine that follows nothing, a wave is what the tool does when the reading is off by it.
-    still = replace(machine, uncertainty=replace(known, factor=np.zeros_like(known.factor)))
-    errors = tool_errors(still, q)[:, :3, -known.waves.many :]
-    orders, h = known.waves.width.shape[1], 1e-6
+    alone = known.left_out._replace(root=np.eye(len(known.left_out.root)))
+    still = replace(machine, uncertainty=replace(known, factor=np.zeros_like(known.factor), left_out=alone))
+    errors = tool_errors(still, q)[:, :3, -alone.columns :]
+    orders, h = waves.width.shape[1], 1e-6
     for j, k, wave in ((1, 2, np.cos), (4, 1, np.sin)):
         column = 2 * (j * orders + k - 1) + (wave is np.sin)
         step = np.zeros_like(q)
         step[:, j] = h * wave(k * q[:, j])
         by_step = (machine.predict(q + step)[:, :3, 3] - machine.predict(q - step)[:, :3, 3]) / (2.0 * h)
-        np.testing.assert_allclose(-errors[:, :, column], by_step * known.waves.width[j, k - 1], rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(-errors[:, :, column], by_step * waves.width[j, k - 1], rtol=1e-6, atol=1e-12)
+
+
+def test_wind_up_is_what_masses_that_nobody_states_do_to_readings() -> None:
+    fit, _, arm = fitted(off=waving)
+    machine = machine_of(fit)
+    known = machine.known_uncertainty
+    assert known.left_out is not None
+    wind_up, q = known.left_out.wind_up, arm.draw(np.random.default_rng(2), 3)
+    alone = known.left_out._replace(root=np.eye(len(known.left_out.root)))
+    still = replace(machine, uncertainty=replace(known, factor=np.zeros_like(known.factor), left_out=alone))
+    errors = tool_errors(still, q)[:, :3, -len(wind_up.terms) :]
+    soft = with_joint_terms(machine.robot, wind_up.terms)
+    for k in (2, 12):
+        # The same as what a robot does that has this one as a joint term.
+        ends = []
+        for sign in (1.0, -1.0):
+            coefficients = np.zeros(len(wind_up.terms))
+            coefficients[k] = sign * wind_up.width[k]
+            bent = replace(machine.deviations, terms=coefficients)
+            ends.append((machine.base @ soft.tips(q, bent) @ machine.tools["tool"])[:, :3, 3])
+        np.testing.assert_allclose(-errors[:, :, k], 0.5 * (ends[0] - ends[1]), rtol=1e-5, atol=1e-12)
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+def test_regions_are_as_large_as_what_wind_up_leaves_out(observes: str) -> None:
+    """Wind-up follows several readings at once, and that of the shoulder is far larger than any other."""
+    inside, true, stated = [], 0.0, 0.0
+    for seed in range(4):
+        fit, points, arm = fitted(seed, 60, winding, observes=observes)
+        q = arm.draw(np.random.default_rng(seed + 50), 50)
+        machine = machine_of(fit)
+        found = tool_uncertainty(machine, q)
+        errors = machine.predict(q)[:, :3, 3] - points(q)
+        inside.append(found.inside(errors).mean())
+        true += float(np.mean(np.sum(errors**2, axis=1)))
+        stated += float(np.mean(found.position**2))
+    assert np.mean(inside) > 0.945
+    assert 0.95 < np.sqrt(stated / true) < 1.2
 
 
 def test_waves_of_what_slides_have_a_length_for_their_period() -> None:

@@ -32,11 +32,12 @@ UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 
 
 def fitted(
-    name: tuple[str, str] = UR10, observes: str = "position", seed: int = 0, **options: object
+    name: tuple[str, str] = UR10, observes: str = "position", seed: int = 0, *, exact: bool = False, **options: object
 ) -> tuple[calib.Fit, Machine, machines.Arm]:
     rng = np.random.default_rng(seed)
     robot, arm = machines.load(*name), machines.arm(*name)
-    true = Machine(arm.moved(rng), anywhere(rng), {"tool": pose((0.05, 0.02, 0.15), (0.3, -0.2, 0.4))})
+    built = arm if exact else arm.moved(rng)
+    true = Machine(built, anywhere(rng), {"tool": pose((0.05, 0.02, 0.15), (0.3, -0.2, 0.4))})
     data = true.measure(robot, arm.draw(rng, 80), observes, rng=rng, sigma=5e-5, sigma_angle=1e-4)
     chosen = {"offsets": "all", "placements": "all", "tool": "pose" if observes == "pose" else "position"} | options
     return calib.identify(machines.model(robot, **chosen), data), true, arm
@@ -106,7 +107,8 @@ def test_positions_say_nothing_of_orientations_and_poses_do() -> None:
 
 
 def test_base_and_tool_can_be_left_out() -> None:
-    fit, *_ = fitted(offsets=["elbow_joint"], placements="none")
+    # Of a machine that the model knows: else base and tool make up for a part of what it leaves out.
+    fit, *_ = fitted(exact=True, offsets=["elbow_joint"], placements="none")
     u, readings = machine_of(fit), np.full((1, 6), 0.3)
     whole, arm, alone = (
         tool_uncertainty(u, readings, **options)
@@ -227,15 +229,32 @@ def test_a_file_of_the_first_schema_is_read(tmp_path: Path) -> None:
     fit, _, arm = fitted(offsets=["elbow_joint"], placements="none")
     folder = written(fit, tmp_path)
     contents = json.loads((folder / "uncertainty.json").read_text())
-    assert contents["schema"] == 2
-    contents = {key: value for key, value in contents.items() if key not in ("causes", "waves")} | {"schema": 1}
+    assert contents["schema"] == 3
+    later = ("causes", "waves", "wind_up", "left_out")
+    contents = {key: value for key, value in contents.items() if key not in later} | {"schema": 1}
     (folder / "uncertainty.json").write_text(json.dumps(contents))
     known = calib.load_machine(folder).known_uncertainty
-    assert known.waves is None
+    assert known.left_out is None
     assert known.causes == (known.factor.shape[1], 0, 0)
     budget = tool_uncertainty(calib.load_machine(folder), arm.draw(np.random.default_rng(2), 3)).budget
     assert tuple(budget) == CAUSES
     assert not budget["parameters"].any()
+
+
+def test_a_file_of_the_second_schema_has_waves_each_by_itself(tmp_path: Path) -> None:
+    fit, _, arm = fitted(offsets=["elbow_joint"], placements="none")
+    folder = written(fit, tmp_path)
+    contents = json.loads((folder / "uncertainty.json").read_text())
+    terms, columns = len(contents.pop("wind_up")), len(contents.pop("left_out"))
+    contents["schema"] = 2
+    contents["factor"] = [row[: len(row) - terms] for row in contents["factor"]]
+    contents["causes"]["model"] -= terms
+    (folder / "uncertainty.json").write_text(json.dumps(contents))
+    known = calib.load_machine(folder).known_uncertainty
+    assert known.left_out is not None
+    assert known.left_out.wind_up.terms == ()
+    np.testing.assert_array_equal(known.left_out.root, np.eye(columns - terms))
+    assert tool_uncertainty(calib.load_machine(folder), arm.draw(np.random.default_rng(2), 3)).position.all()
 
 
 def test_a_folder_without_the_file_is_a_model_without_doubts(tmp_path: Path) -> None:
@@ -274,6 +293,13 @@ def test_a_value_that_comes_twice_is_refused(tmp_path: Path) -> None:
         (lambda c: c["causes"].update(model=3), "is not a file of this toolkit, or is damaged, at causes"),
         (lambda c: c["waves"]["width"].pop("elbow_joint"), "is not of the machine in model.json"),
         (lambda c: c["waves"]["width"]["elbow_joint"].append(1e-4), "is not of the machine in model.json"),
+        (lambda c: c["wind_up"][0].update(body="no_such_joint_x"), "is not of the machine in model.json"),
+        (lambda c: c["wind_up"].pop(), "is not of the machine in model.json"),
+        (lambda c: c["left_out"][0].append(1.0), "is not of the machine in model.json"),
+        (
+            lambda c: c["wind_up"][0].update(width=-1.0),
+            "is not a file of this toolkit, or is damaged, at wind_up.0.width: -1 is below 0",
+        ),
         (
             lambda c: c["waves"]["period"].update(elbow_joint=0.0),
             "is not a file of this toolkit, or is damaged, at waves.period.elbow_joint: 0 is below 1e-06",
@@ -315,6 +341,10 @@ def test_a_value_that_comes_twice_is_refused(tmp_path: Path) -> None:
         "causes",
         "waves",
         "orders",
+        "body",
+        "terms",
+        "root",
+        "width",
         "period",
         "short",
         *("model", "total", "model above total", "huge total", "freedom", "hardly any freedom", "endless freedom"),
