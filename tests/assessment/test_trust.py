@@ -8,7 +8,19 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
-from calib.assessment.effects import Step, Timing, apart, delay, gains, rounding, steps, strains, timing, wandering
+from calib.assessment.effects import (
+    Step,
+    Timing,
+    apart,
+    delay,
+    gains,
+    ratios,
+    rounding,
+    steps,
+    strains,
+    timing,
+    wandering,
+)
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check
 from calib.assessment.stretches import pose_by_pose, stretches
@@ -221,6 +233,25 @@ def test_a_gain_comes_back(cell: Cell) -> None:
     found = gains(parts, C)
     assert found["elbow_joint"].value == pytest.approx(0.03, rel=0.05)
     assert max(found, key=lambda name: found[name].size) == "elbow_joint"
+
+
+@pytest.mark.parametrize("ratio", [-1.0, -1.02])
+def test_a_joint_that_follows_another_by_another_ratio(ratio: float) -> None:
+    """What the driver says of itself is right, so that no gain of a joint tells it."""
+    urdf, rng = machines.INLINE["mimic"], np.random.default_rng(3)
+    robot, arm = machines.load(urdf, "tip"), machines.arm(urdf, "tip").moved(rng)
+    joints = tuple(replace(j, multiplier=ratio) if j.name == "level" else j for j in arm.joints)
+    tool = {"tool": machines.pose((0.05, 0.02, 0.15))}
+    machine = machines.Machine(replace(arm, joints=joints), machines.anywhere(rng), tool)
+    own, held_out = (machine.measure(robot, arm.draw(rng, n), rng=rng, sigma=5e-5) for n in (40, 15))
+    fit = calib.identify(calib.error_model(robot, offsets="all", placements="all"), own)
+    residue = Residue.of(fit, {})
+    assert ratios(stretches(residue), residue.C)["level", "lift"].value == pytest.approx(-1.0 - ratio, abs=2e-3)
+    found = calib.assess(fit, held_out)
+    assert found.trusted == (ratio == -1.0)
+    gear = next(check for check in found.checks if check.name == "gear")
+    said = "'level' seems to move by 2 % more than the multiple says by which it follows 'lift': is that right?"
+    assert (gear.passed, said in gear.sentence) == (found.trusted, not found.trusted)
 
 
 def test_a_jump_of_the_base_is_found_where_it_is(cell: Cell) -> None:
