@@ -367,7 +367,7 @@ def _chance(found: Score, rest: Array, part: Stretch) -> float:
 
 def steps(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     """Return the likeliest change of base, tool and every joint in the course of every set, the largest size first."""
-    things = [("base", [part.by_base for part in parts]), ("tool", [part.by_tool[:, :, :3] for part in parts])]
+    things = [("base", [part.by_base for part in parts]), ("tool", [part.by_tool for part in parts])]
     joints = parts[0].joints if parts else ()
     things += [(name, [part.by_joint[:, :, j : j + 1] for part in parts]) for j, name in enumerate(joints)]
     found = []
@@ -382,7 +382,7 @@ def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     """Return which set would best have a base or a tool of its own, the largest size first; ``line`` is 0."""
     found: list[Step] = []
     for what in ("base", "tool") if len(parts) > 1 else ():
-        motions = [part.by_base if what == "base" else part.by_tool[:, :, :3] for part in parts]
+        motions = [part.by_base if what == "base" else part.by_tool for part in parts]
         found += _apart(what, motions, *_besides(parts, motions, C))
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 

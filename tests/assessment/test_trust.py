@@ -254,6 +254,17 @@ def test_a_joint_that_follows_another_by_another_ratio(ratio: float) -> None:
     assert (gear.passed, said in gear.sentence) == (found.trusted, not found.trusted)
 
 
+@pytest.mark.parametrize("turned", [0.0, 2e-3])
+def test_a_probe_that_turned_between_two_rows(cell: Cell, turned: float) -> None:
+    """Its point stays, so that a tool that moves is none: poses alone show the turn."""
+    data = cell.machine.measure(cell.robot, cell.draw(30), "pose", rng=cell.rng, sigma=5e-5, sigma_angle=1e-4)
+    turns = machines.pose(rotvec=np.where(np.arange(30) >= 12, turned, 0.0)[:, None] * (0.0, 0.0, 1.0))[:, :3, :3]
+    model = calib.error_model(cell.robot, offsets="all", placements="all", tool="pose")
+    found = calib.assess(calib.identify(model, replace(data, orientation=data.orientation @ turns)))
+    assert failed(found) == ({"jump"} if turned else set())
+    assert any(f":{data.lines[11]}: after this row the tool seems" in doubt for doubt in found.doubts) == bool(turned)
+
+
 def test_a_jump_of_the_base_is_found_where_it_is(cell: Cell) -> None:
     data = cell.measured(cell.draw(60))
     moved = data.position + np.where(np.arange(60) >= 25, 1e-3, 0.0)[:, None]
