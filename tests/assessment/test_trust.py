@@ -22,7 +22,7 @@ from calib.assessment.effects import (
     wandering,
 )
 from calib.assessment.influence import Residue
-from calib.assessment.judged import Check
+from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.stretches import pose_by_pose, stretches
 from calib.assessment.trust import remarks
 from calib.identification.identify import with_values
@@ -358,6 +358,25 @@ def test_axes_of_an_instrument_that_are_not_equal(cell: Cell) -> None:
     # All of them too long is nothing that these rows can tell from links that are.
     (found,) = strains(*cell.effects(replace(data, position=1.003 * data.position)))
     assert of_rows.axes([found]).passed
+
+
+def test_few_lengths_of_each_anchor_have_no_outliers() -> None:
+    """Their own places take up most of them, and what is left of most is far smaller than of others."""
+    rng = np.random.default_rng(1)
+    robot, arm = calib.load_robot(*UR5), machines.arm(*UR5).moved(rng)
+    machine = machines.Machine(arm, np.eye(4), {"tool": machines.pose((0.05, 0.02, 0.15))})
+    positions = machine.measure(robot, rng.uniform(-2.0, 2.0, (40, 6)), rng=rng, sigma=5e-5)
+    q, target, places = rng.uniform(-2.0, 2.0, (16, 6)), np.repeat(np.arange(4), 4), rng.uniform(-1.0, 1.0, (4, 3))
+    lengths = np.linalg.norm(machine.see(q)[:, :3, 3] - places[target], axis=1) + rng.normal(0.0, 5e-5, 16)
+    columns: dict[str, object] = {f"{r.name} [rad]": q[:, k] for k, r in enumerate(robot.readings)}
+    columns |= {"length [m]": lengths, "target": [f"anchor {t}" for t in target]}
+    data = [positions, calib.read_measurements(columns, robot, "distance", sigma=5e-5)]
+    fit = calib.identify(calib.error_model(robot, offsets="all", placements="all", base="fixed"), data)
+    own = [JudgedSet("identification", d.where, d, r, r) for d, r in zip(fit.measurements, fit.residuals, strict=True)]
+    assert of_rows.outliers(fit, own).passed
+    gross = own[0].after.copy()
+    gross[:3] += 5e-4
+    assert not of_rows.outliers(fit, [own[0]._replace(after=gross), own[1]]).passed
 
 
 def test_rounded_readings_count_where_they_are_what_remains(cell: Cell) -> None:

@@ -210,12 +210,13 @@ def one_machine(found: Sequence[MixedMachines], fit: Fit) -> Check:
 def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
     """Whether many rows lie far from the rest."""
     worst, limit, passed, where = 0.0, GROSS, True, ""
-    for one, loss in zip(own, fit.losses, strict=False):
+    for i, (one, loss) in enumerate(zip(own, fit.losses, strict=False)):
         allowed = GROSS if loss == "linear" else GROSS_ROBUST
         for name, errors in error_norms(one.data.kind, one.after).items():
             d = next(q.columns.stop - q.columns.start for q in QUANTITIES[one.data.kind] if q.name == name)
             scale = float(np.median(errors)) / np.sqrt(bound(0.5, d))
-            many = int(np.sum(errors > FAR * scale)) if scale > ROUNDING else 0
+            freedom = sum(n.degrees_of_freedom for n in fit.noise if (n.measurements, n.quantity) == (i, name))
+            many = int(np.sum(errors > FAR * _poorly_known(freedom) * scale)) if scale > ROUNDING else 0
             share = many / len(errors) if many > 1 else 0.0
             if share / allowed > worst / limit:
                 worst, limit, where = share, allowed, one.file
@@ -223,6 +224,14 @@ def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
     said = f"{100.0 * worst:.2g} % of the rows are more than {FAR:g} standard deviations from the rest"
     said = f"{said}." if passed else f"{where}: {said}; correct or remove them."
     return Check.of("outliers", worst, limit, passed, said)
+
+
+def _poorly_known(freedom: float) -> float:
+    """Return by how much farther off rows must be whose scatter few numbers tell: Student's t beside the normal one.
+
+    Of a few touches of each ball, parameters leave next to nothing of most rows, and the others seem far from them.
+    """
+    return float(np.sqrt(bound(1.0 - RARELY, 1, max(freedom, 1.0)) / bound(1.0 - RARELY, 1)))
 
 
 def frozen(own: Sequence[JudgedSet]) -> Check:
