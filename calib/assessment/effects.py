@@ -112,12 +112,26 @@ def memory(parts: Sequence[Array]) -> float:
 
 def gains(parts: Sequence[Stretch], C: Array) -> dict[str, Effect]:
     """Return for every joint by which share more than it says it would move; its zero may be elsewhere too."""
-    found = {}
-    for j, name in enumerate(parts[0].joints if parts else ()):
-        within, own = _besides(parts, [part.by_joint[:, :, j : j + 1] for part in parts], C)
-        usable = [part for part in within if part.data.other is None]
-        found[name] = effect(usable, [part.by_joint[:, :, j] * part.values[:, None, j] for part in usable], own)
-    return found
+    return {
+        name: _gain(parts, [part.by_joint[:, :, j] for part in parts], [part.values[:, j] for part in parts], C)
+        for j, name in enumerate(parts[0].joints if parts else ())
+    }
+
+
+def ratios(parts: Sequence[Stretch], C: Array) -> dict[tuple[str, str], Effect]:
+    """Return for every joint, and reading of another that it follows, by which share more it would follow that one."""
+    return {
+        tie: _gain(parts, [part.by_follower[:, :, j] for part in parts], [part.followed[:, j] for part in parts], C)
+        for j, tie in enumerate(parts[0].followers if parts else ())
+    }
+
+
+def _gain(parts: Sequence[Stretch], turned: Sequence[Array], motions: Sequence[Array], C: Array) -> Effect:
+    """Return by which share more a joint would move than by ``motions`` (n,); ``turned`` (n, d): what its turn does."""
+    within, own = _besides(parts, [Z[:, :, None] for Z in turned], C)
+    every = zip(within, turned, motions, strict=True)
+    usable = [(part, Z * motion[:, None]) for part, Z, motion in every if part.data.other is None]
+    return effect([part for part, _ in usable], [d for _, d in usable], own)
 
 
 def _besides(parts: Sequence[Stretch], motions: Sequence[Array], C: Array) -> tuple[tuple[Stretch, ...], Array]:
@@ -353,7 +367,7 @@ def _chance(found: Score, rest: Array, part: Stretch) -> float:
 
 def steps(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     """Return the likeliest change of base, tool and every joint in the course of every set, the largest size first."""
-    things = [("base", [part.by_base for part in parts]), ("tool", [part.by_tool[:, :, :3] for part in parts])]
+    things = [("base", [part.by_base for part in parts]), ("tool", [part.by_tool for part in parts])]
     joints = parts[0].joints if parts else ()
     things += [(name, [part.by_joint[:, :, j : j + 1] for part in parts]) for j, name in enumerate(joints)]
     found = []
@@ -368,7 +382,7 @@ def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     """Return which set would best have a base or a tool of its own, the largest size first; ``line`` is 0."""
     found: list[Step] = []
     for what in ("base", "tool") if len(parts) > 1 else ():
-        motions = [part.by_base if what == "base" else part.by_tool[:, :, :3] for part in parts]
+        motions = [part.by_base if what == "base" else part.by_tool for part in parts]
         found += _apart(what, motions, *_besides(parts, motions, C))
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 

@@ -31,6 +31,8 @@ class Stretch:
     ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
     motion of the base and of the tool, in m and rad. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
     change from row to row, or in a second where ``step``, the time in s between rows, is known; else that is nan.
+    ``followers`` (f): joints that follow a reading of another by a coupling or as mimic joints, and that reading;
+    ``by_follower`` (n, d, f): a turn (shift) of each, ``followed`` (n, f): by how much it follows.
     ``row`` (n,): number in the set; ``pose`` (n,): that of its pose. ``used``: how many of the numbers the parameters
     take up. ``least``: variance of r that is rounding. ``together``: how its photographs err, where their rows err
     together; ``repeats``: how rows of one pose err, of every quantity where these do.
@@ -45,6 +47,9 @@ class Stretch:
     by_tool: Array
     values: Array
     rates: Array
+    followers: tuple[tuple[str, str], ...]
+    by_follower: Array
+    followed: Array
     row: Array
     step: float
     pose: IntArray
@@ -69,6 +74,11 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
     # A joint that another drives has no reading of its own.
     own = [k for k, name in enumerate(names) if name in readings]
     column = [readings.index(names[k]) for k in own]
+    # Others follow readings of theirs, each by a multiple.
+    moving = [robot.chain[i].name for i in robot.moving]
+    multiple = robot.coupling[[moving.index(name) for name in names]]
+    ties = [(k, i) for k, i in np.argwhere(multiple != 0.0).tolist() if k not in own]
+    of_follower, followed = [k for k, _ in ties], [i for _, i in ties]
     units = np.ones(len(parameters))
     judged = tuple(fit.parameters[k] for k in residue.judged)
     found = []
@@ -88,6 +98,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
         J = less(np.concatenate([b.J for b in blocks]) / sigma * w)
         r = less(np.concatenate([b.observed.residual for b in blocks])[:, :, None] / sigma * w)[:, :, 0]
         tool = W[:, :, kinds == "tool"].reshape(*W.shape[:2], -1, 6).sum(axis=2)
+        by_offset = W[:, :, kinds == "offset"]
         rates, step = _rates(data, fit.machine.frames.scalars)
         found.append(
             Stretch(
@@ -95,11 +106,14 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 J,
                 residue.judged,
                 tuple(names[k] for k in own),
-                W[:, :, kinds == "offset"][:, :, own],
+                by_offset[:, :, own],
                 W[:, :, kinds == "base"].reshape(*W.shape[:2], -1, 6).sum(axis=2),
                 tool,
                 part.readings[:, column],
                 rates[rows][:, column],
+                tuple((names[k], readings[i]) for k, i in ties),
+                by_offset[:, :, of_follower],
+                part.readings[:, followed] * multiple[of_follower, followed],
                 rows.astype(np.float64),
                 step,
                 poses_of(part, pieces=True),
@@ -127,9 +141,11 @@ def by_photograph(part: Stretch) -> Stretch:
         r=together.by_photograph(part.r[:, :, None])[:, :, 0],
         J=together.by_photograph(part.J),
         by_joint=together.by_photograph(part.by_joint),
+        by_follower=together.by_photograph(part.by_follower),
         by_base=together.by_photograph(part.by_base),
         by_tool=together.by_photograph(part.by_tool),
         values=part.values[first],
+        followed=part.followed[first],
         rates=part.rates[first],
         row=part.row[first],
         pose=np.arange(len(first)),
@@ -167,9 +183,11 @@ def as_means(part: Stretch, number: IntArray) -> Stretch:
         r=as_one(part.r),
         J=as_one(part.J),
         by_joint=as_one(part.by_joint),
+        by_follower=as_one(part.by_follower),
         by_base=as_one(part.by_base),
         by_tool=as_one(part.by_tool),
         values=mean(part.values),
+        followed=mean(part.followed),
         rates=mean(part.rates),
         row=part.row[last],
         pose=part.pose[last],

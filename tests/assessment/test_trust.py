@@ -8,9 +8,21 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
-from calib.assessment.effects import Step, Timing, apart, delay, gains, rounding, steps, strains, timing, wandering
+from calib.assessment.effects import (
+    Step,
+    Timing,
+    apart,
+    delay,
+    gains,
+    ratios,
+    rounding,
+    steps,
+    strains,
+    timing,
+    wandering,
+)
 from calib.assessment.influence import Residue
-from calib.assessment.judged import Check
+from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.stretches import pose_by_pose, stretches
 from calib.assessment.trust import remarks
 from calib.identification.identify import with_values
@@ -223,6 +235,36 @@ def test_a_gain_comes_back(cell: Cell) -> None:
     assert max(found, key=lambda name: found[name].size) == "elbow_joint"
 
 
+@pytest.mark.parametrize("ratio", [-1.0, -1.02])
+def test_a_joint_that_follows_another_by_another_ratio(ratio: float) -> None:
+    """What the driver says of itself is right, so that no gain of a joint tells it."""
+    urdf, rng = machines.INLINE["mimic"], np.random.default_rng(3)
+    robot, arm = machines.load(urdf, "tip"), machines.arm(urdf, "tip").moved(rng)
+    joints = tuple(replace(j, multiplier=ratio) if j.name == "level" else j for j in arm.joints)
+    tool = {"tool": machines.pose((0.05, 0.02, 0.15))}
+    machine = machines.Machine(replace(arm, joints=joints), machines.anywhere(rng), tool)
+    own, held_out = (machine.measure(robot, arm.draw(rng, n), rng=rng, sigma=5e-5) for n in (40, 15))
+    fit = calib.identify(calib.error_model(robot, offsets="all", placements="all"), own)
+    residue = Residue.of(fit, {})
+    assert ratios(stretches(residue), residue.C)["level", "lift"].value == pytest.approx(-1.0 - ratio, abs=2e-3)
+    found = calib.assess(fit, held_out)
+    assert found.trusted == (ratio == -1.0)
+    gear = next(check for check in found.checks if check.name == "gear")
+    said = "'level' seems to move by 2 % more than the multiple says by which it follows 'lift': is that right?"
+    assert (gear.passed, said in gear.sentence) == (found.trusted, not found.trusted)
+
+
+@pytest.mark.parametrize("turned", [0.0, 2e-3])
+def test_a_probe_that_turned_between_two_rows(cell: Cell, turned: float) -> None:
+    """Its point stays, so that a tool that moves is none: poses alone show the turn."""
+    data = cell.machine.measure(cell.robot, cell.draw(30), "pose", rng=cell.rng, sigma=5e-5, sigma_angle=1e-4)
+    turns = machines.pose(rotvec=np.where(np.arange(30) >= 12, turned, 0.0)[:, None] * (0.0, 0.0, 1.0))[:, :3, :3]
+    model = calib.error_model(cell.robot, offsets="all", placements="all", tool="pose")
+    found = calib.assess(calib.identify(model, replace(data, orientation=data.orientation @ turns)))
+    assert failed(found) == ({"jump"} if turned else set())
+    assert any(f":{data.lines[11]}: after this row the tool seems" in doubt for doubt in found.doubts) == bool(turned)
+
+
 def test_a_jump_of_the_base_is_found_where_it_is(cell: Cell) -> None:
     data = cell.measured(cell.draw(60))
     moved = data.position + np.where(np.arange(60) >= 25, 1e-3, 0.0)[:, None]
@@ -316,6 +358,25 @@ def test_axes_of_an_instrument_that_are_not_equal(cell: Cell) -> None:
     # All of them too long is nothing that these rows can tell from links that are.
     (found,) = strains(*cell.effects(replace(data, position=1.003 * data.position)))
     assert of_rows.axes([found]).passed
+
+
+def test_few_lengths_of_each_anchor_have_no_outliers() -> None:
+    """Their own places take up most of them, and what is left of most is far smaller than of others."""
+    rng = np.random.default_rng(1)
+    robot, arm = calib.load_robot(*UR5), machines.arm(*UR5).moved(rng)
+    machine = machines.Machine(arm, np.eye(4), {"tool": machines.pose((0.05, 0.02, 0.15))})
+    positions = machine.measure(robot, rng.uniform(-2.0, 2.0, (40, 6)), rng=rng, sigma=5e-5)
+    q, target, places = rng.uniform(-2.0, 2.0, (16, 6)), np.repeat(np.arange(4), 4), rng.uniform(-1.0, 1.0, (4, 3))
+    lengths = np.linalg.norm(machine.see(q)[:, :3, 3] - places[target], axis=1) + rng.normal(0.0, 5e-5, 16)
+    columns: dict[str, object] = {f"{r.name} [rad]": q[:, k] for k, r in enumerate(robot.readings)}
+    columns |= {"length [m]": lengths, "target": [f"anchor {t}" for t in target]}
+    data = [positions, calib.read_measurements(columns, robot, "distance", sigma=5e-5)]
+    fit = calib.identify(calib.error_model(robot, offsets="all", placements="all", base="fixed"), data)
+    own = [JudgedSet("identification", d.where, d, r, r) for d, r in zip(fit.measurements, fit.residuals, strict=True)]
+    assert of_rows.outliers(fit, own).passed
+    gross = own[0].after.copy()
+    gross[:3] += 5e-4
+    assert not of_rows.outliers(fit, [own[0]._replace(after=gross), own[1]]).passed
 
 
 def test_rounded_readings_count_where_they_are_what_remains(cell: Cell) -> None:

@@ -1,5 +1,7 @@
 """Anchors in unknown places, of which lengths alone tell: on the right side of the arm, and the tool with them."""
 
+from typing import Literal
+
 import numpy as np
 import pytest
 
@@ -28,16 +30,20 @@ def lengths(
     target: Array,
     rng: np.random.Generator,
     offset: float | None = None,
+    kind: Literal["distance", "sphere"] = "distance",
 ) -> calib.Measurements:
     measured = np.linalg.norm(points - places[target], axis=1) + rng.normal(scale=SIGMA, size=len(points))
     measured += offset or 0.0
     columns: dict[str, object] = {f"{r.name} [rad]": readings[:, k] for k, r in enumerate(robot.readings)}
-    columns |= {"length [m]": measured, "target": [f"anchor {t}" for t in target]}
+    values = {"length [m]": measured} if kind == "distance" else {"diameter [m]": 2.0 * measured}
+    columns |= {**values, "target": [f"anchor {t}" for t in target]}
     named = None if offset is None else "bar"
-    return calib.read_measurements(columns, robot, "distance", sigma=SIGMA, offset=named)
+    return calib.read_measurements(columns, robot, kind, sigma=SIGMA, offset=named)
 
 
-def session(anchors: int, each: int) -> tuple[calib.Robot, calib.Measurements, calib.Measurements]:
+def session(
+    anchors: int, each: int, kind: Literal["distance", "sphere"] = "distance"
+) -> tuple[calib.Robot, calib.Measurements, calib.Measurements]:
     """A UR10 of which every placement and zero is off, lengths to anchors all around it, and others to judge by."""
     rng = np.random.default_rng(4)
     robot, true = machines.load(*UR10), machines.arm(*UR10).moved(rng)
@@ -47,7 +53,7 @@ def session(anchors: int, each: int) -> tuple[calib.Robot, calib.Measurements, c
         target = np.repeat(np.arange(anchors), n)
         readings = true.draw(rng, len(target))
         points = (true.tips(readings) @ machines.pose(TOOL))[:, :3, 3]
-        sets.append(lengths(robot, readings, points, places, target, rng))
+        sets.append(lengths(robot, readings, points, places, target, rng, kind=kind))
     return robot, sets[0], sets[1]
 
 
@@ -62,8 +68,10 @@ def test_lengths_find_tool_and_anchors() -> None:
     assert np.sqrt(np.mean(missed**2)) < 3 * SIGMA
 
 
-def test_an_anchor_on_the_wrong_side_is_put_where_its_rows_put_it() -> None:
-    robot, data, _ = session(30, 8)
+@pytest.mark.parametrize("kind", ["distance", "sphere"])
+def test_an_anchor_on_the_wrong_side_is_put_where_its_rows_put_it(kind: Literal["distance", "sphere"]) -> None:
+    """Balls as well: from touches on a half of one that are off by its radius, its centre begins on the other side."""
+    robot, data, _ = session(30, 8, kind)
     model = calib.error_model(robot, offsets="all", placements="all")
     fit = calib.identify(model, data)
     problem = initial_problem(model, (data,))

@@ -113,21 +113,29 @@ def timing(found: Timing) -> Check:
     return Check.judged("timing", value, limit, f"In time, {what}", ": read all joints at once, and unfiltered.")
 
 
-def gear(found: Mapping[str, Effect], fit: Fit) -> Check:
-    """Whether a joint moves by more, or less, than it says."""
+def gear(found: Mapping[str, Effect], followers: Mapping[tuple[str, str], Effect], fit: Fit) -> Check:
+    """Whether a joint moves by more, or less, than it says; ``followers``: than what says how it follows another."""
     sought = {parameter.name for parameter in fit.parameters}
-    told = {name: one for name, one in found.items() if f"{name}.gain" not in sought and abs(one.value) >= 0.0}
-    sure = {name: one for name, one in told.items() if abs(one.t) > SURE and one.size > SEEN}
-    name = max(sure, key=lambda name: abs(sure[name].value), default="")
-    value = abs(sure[name].value) if name else 0.0
-    passed = value <= GEAR
-    said = (
-        f"No joint seems to move by over {100 * GEAR:g} % more or less than its reading says."
-        if passed
-        else f"{name!r} seems to move by {100.0 * value:.2g} % {'more' if sure[name].value > 0.0 else 'less'} than its "
-        "reading says: is its gear ratio right?"
-    )
-    return Check.of("gear", value or NOTHING, GEAR, passed, said)
+    told = [
+        (one, f"{name!r}", "its reading says: is its gear ratio right")
+        for name, one in found.items()
+        if f"{name}.gain" not in sought
+    ]
+    told += [
+        (one, f"{name!r}", f"the multiple says by which it follows {driver!r}: is that right")
+        for (name, driver), one in followers.items()
+    ]
+    sure = [each for each in told if abs(each[0].t) > SURE and each[0].size > SEEN]
+    worst = max((abs(one.value) for one, *_ in sure), default=NOTHING)
+    large = [each for each in sure if abs(each[0].value) > GEAR]
+    if not large:
+        said = f"No joint seems to move by over {100 * GEAR:g} % more or less than its reading says."
+        return Check.of("gear", worst, GEAR, True, said)
+    # What a wrong ratio of one does to all, others can in part: the one that explains most is named.
+    one, name, what = max(large, key=lambda each: each[0].size)
+    more = "more" if one.value > 0.0 else "less"
+    said = f"{name} seems to move by {100.0 * abs(one.value):.2g} % {more} than {what}?"
+    return Check.of("gear", abs(one.value), GEAR, False, said)
 
 
 def axes(found: Sequence[Strain]) -> Check:
@@ -202,12 +210,13 @@ def one_machine(found: Sequence[MixedMachines], fit: Fit) -> Check:
 def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
     """Whether many rows lie far from the rest."""
     worst, limit, passed, where = 0.0, GROSS, True, ""
-    for one, loss in zip(own, fit.losses, strict=False):
+    for i, (one, loss) in enumerate(zip(own, fit.losses, strict=False)):
         allowed = GROSS if loss == "linear" else GROSS_ROBUST
         for name, errors in error_norms(one.data.kind, one.after).items():
             d = next(q.columns.stop - q.columns.start for q in QUANTITIES[one.data.kind] if q.name == name)
             scale = float(np.median(errors)) / np.sqrt(bound(0.5, d))
-            many = int(np.sum(errors > FAR * scale)) if scale > ROUNDING else 0
+            freedom = sum(n.degrees_of_freedom for n in fit.noise if (n.measurements, n.quantity) == (i, name))
+            many = int(np.sum(errors > FAR * _poorly_known(freedom) * scale)) if scale > ROUNDING else 0
             share = many / len(errors) if many > 1 else 0.0
             if share / allowed > worst / limit:
                 worst, limit, where = share, allowed, one.file
@@ -215,6 +224,14 @@ def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
     said = f"{100.0 * worst:.2g} % of the rows are more than {FAR:g} standard deviations from the rest"
     said = f"{said}." if passed else f"{where}: {said}; correct or remove them."
     return Check.of("outliers", worst, limit, passed, said)
+
+
+def _poorly_known(freedom: float) -> float:
+    """Return by how much farther off rows must be whose scatter few numbers tell: Student's t beside the normal one.
+
+    Of a few touches of each ball, parameters leave next to nothing of most rows, and the others seem far from them.
+    """
+    return float(np.sqrt(bound(1.0 - RARELY, 1, max(freedom, 1.0)) / bound(1.0 - RARELY, 1)))
 
 
 def frozen(own: Sequence[JudgedSet]) -> Check:

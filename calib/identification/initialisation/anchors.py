@@ -1,4 +1,4 @@
-"""Anchors of lengths that a search has put in a wrong place: where their own rows put them, the machine being known."""
+"""Anchors and balls that a search has put in a wrong place: where their own rows put them, the machine being known."""
 
 from dataclasses import replace
 
@@ -14,13 +14,14 @@ _CLEARLY = 0.5
 
 
 def anchors_anew(problem: Problem, x: Array) -> Array | None:
-    """Return parameter values x (p,) with those anchors elsewhere that fit clearly better there; None if none does.
+    """Return parameter values x (p,) with those centres elsewhere that fit clearly better there; None if none does.
 
-    Lengths fit an anchor at two places, one of them a minimum that is not the least. From which side a search came that
-    began with a tool or a robot that was off, chance decided; the machine that it found knows better, as most anchors
+    Lengths fit an anchor, and touches on one side a ball, at two places, one of them a minimum that is not the least.
+    From which side a search came that began with a tool or a robot that was off, chance decided: a ball's radius is
+    hardly more than what an arm is off by. The machine that it found knows better, as most centres, or other targets,
     are where they should be.
     """
-    lengths = [data for data in problem.measurements if data.kind == "distance"]
+    lengths = [data for data in problem.measurements if data.kind in ("distance", "sphere")]
     if not lengths:
         return None
     machine = problem.machine(x)
