@@ -6,7 +6,7 @@ exactly so where the model is linear (R. D. Cook, S. Weisberg, Residuals and Inf
 place of many rows a triangle of ``[J r]`` says the same.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -75,6 +75,54 @@ class Predicted(NamedTuple):
     common: Array
     own: Array
     across: Array
+
+
+class SquaresOfSet(NamedTuple):
+    """The weighted sum of squares of one set as a function of a step: gradient and curvature at no step.
+
+    Of the common parameters, which targets follow: ``gradient`` (c,) and ``common`` (c, c). Of what each block does
+    beside that: ``own_gradient`` (m, a), ``own`` (m, a, a) and ``across`` (m, a, c).
+    """
+
+    gradient: Array
+    common: Array
+    own_gradient: Array
+    own: Array
+    across: Array
+
+    @classmethod
+    def of(cls, rows: Iterable[WhitenedRows], covariance: Covariance) -> "SquaresOfSet":
+        """Sum over the rows of a set."""
+        (m, a), c = covariance.split.blocks.shape, len(covariance.split.common)
+        found = cls(np.zeros(c), np.zeros((c, c)), np.zeros((m, a)), np.zeros((m, a, a)), np.zeros((m, a, c)))
+        for some in rows:
+            whole = some.weighted
+            J, own, r = whole[:, :, :c], whole[:, :, c:-1], whole[:, :, -1]
+            if own.size:
+                there, number = some.block >= 0, some.block[some.block >= 0]
+                J[there] += own[there] @ covariance.follow[number]
+                turned = np.swapaxes(own[there], -1, -2)
+                np.add.at(found.own_gradient, number, (turned @ r[there][:, :, None])[:, :, 0])
+                np.add.at(found.own, number, turned @ own[there])
+                np.add.at(found.across, number, turned @ J[there])
+            flat = J.reshape(-1, c)
+            np.add(found.gradient, flat.T @ r.ravel(), out=found.gradient)
+            np.add(found.common, flat.T @ flat, out=found.common)
+        return found
+
+    def change(self, steps: Array, block: IntArray, covariance: Covariance) -> Array:
+        """Return by how much the sum grows (n,) with steps (n, c) or (n, c + a), of which each moves one block."""
+        c = len(self.gradient)
+        dc, own = steps[:, :c], steps[:, c:]
+        found = 2.0 * dc @ self.gradient + np.sum(dc @ self.common * dc, axis=1)
+        if own.size:
+            e = own - (covariance.follow[block] @ dc[:, :, None])[:, :, 0]
+            e[block < 0] = 0.0
+            found += 2.0 * np.sum(
+                e * (self.own_gradient[block] + (self.across[block] @ dc[:, :, None])[:, :, 0]), axis=1
+            )
+            found += np.einsum("na,nab,nb->n", e, self.own[block], e)
+        return np.asarray(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,11 +199,11 @@ class Residue:
         """Return what the table of a set is called."""
         return self.files.get(data.where, data.where)
 
-    def blocks(self) -> Iterator[WhitenedRows]:
-        """Yield all rows, block by block."""
+    def blocks(self, only: int | None = None) -> Iterator[WhitenedRows]:
+        """Yield all rows, or those of one set, block by block."""
         rates = self.problem.rates(self.fit.machine, scales(self.fit.parameters), self.split)
         for i, data in enumerate(self.fit.measurements):
-            for block in rates.blocks(data):
+            for block in rates.blocks(data) if only in (None, i) else ():
                 sigma = self.sigma[i][block.rows]
                 J, number = _compact(block)
                 whole = np.concatenate([J, block.observed.residual[:, :, None]], axis=2) / sigma[:, :, None]

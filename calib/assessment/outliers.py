@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.assessment.disagreement import Jump, OutlyingGroup, groups_of, jumps_of
-from calib.assessment.influence import ALONE, Influence, Residue, WhitenedRows
+from calib.assessment.influence import ALONE, Influence, Residue, SquaresOfSet, WhitenedRows
 from calib.foundations import linear
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
@@ -86,7 +86,14 @@ def outliers(fit: Fit, *, files: Mapping[str, str] | None = None) -> Outliers:
     """
     with linear.one_thread():
         residue = Residue.of(fit, files or {})
-        judged = [_judged(residue, block) for block in residue.blocks()]
+        # Of a single set, no other takes a part of what changes.
+        several = len(fit.measurements) > 1
+        judged = [
+            _judged(residue, block, squares)
+            for i in range(len(fit.measurements))
+            for squares in [SquaresOfSet.of(residue.blocks(i), residue.covariance) if several else None]
+            for block in residue.blocks(i)
+        ]
         return Outliers(_least_likely(residue, judged), jumps_of(residue, LEVEL), groups_of(residue))
 
 
@@ -106,8 +113,8 @@ class _Judged(NamedTuple):
     prediction: Array
 
 
-def _judged(residue: Residue, block: WhitenedRows) -> _Judged:
-    """Judge the rows of a block."""
+def _judged(residue: Residue, block: WhitenedRows, squares: SquaresOfSet | None) -> _Judged:
+    """Judge the rows of a block, by the ``squares`` that are left of their set without each; None for the only set."""
     i, w = block.measurements, block.w[:, None]
     CJ = residue.covariances(block) @ np.swapaxes(block.J, -1, -2)
     h, U = np.linalg.eigh(block.J @ CJ)
@@ -119,7 +126,11 @@ def _judged(residue: Residue, block: WhitenedRows) -> _Judged:
     q = np.sum(u**2 / left / (1.0 + (1.0 - w) * h), axis=1)
     steps = (CJ @ (U @ (w * u / left)[:, :, None]))[:, :, 0]
     d = tested.sum(axis=1)
-    found = q / residue.scatter(block.w * q, d, i)
+    lowered = block.w * q
+    if squares is not None:
+        without = block.r + (block.J @ steps[:, :, None])[:, :, 0]
+        lowered = block.w * np.sum(without**2, axis=1) - squares.change(steps, block.block, residue.covariance)
+    found = q / residue.scatter(lowered, d, i)
     distance = np.sqrt(np.divide(found, d, out=np.full_like(q, np.nan), where=d > 0))
     return _Judged(
         i,

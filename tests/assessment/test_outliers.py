@@ -8,7 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 import calib
+from calib.assessment.influence import Residue, SquaresOfSet
 from calib.assessment.outliers import LEVEL
+from calib.identification import elimination
 from calib.identification.relations import Relation
 from scripts.simulate import panda_sockets as simulation
 from tests.support import machines
@@ -265,3 +267,53 @@ def test_a_row_that_alone_determines_something_is_not_tested(robot: calib.Robot)
     assert np.isnan(row.p)
     assert np.isnan(row.studentised)
     assert row.leverage == pytest.approx(1.0, abs=1e-6)
+
+
+def test_what_a_step_does_to_one_of_several_sets(
+    robot: calib.Robot, recorded: Recorded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(elimination, "_MUCH", 0)
+    monkeypatch.setattr(elimination, "_WORTH_IT", np.inf)
+    rng = np.random.default_rng(11)
+    model = machines.model(robot, offsets="all", base="fixed", prior_angle=5e-3)
+    fit = calib.identify(model, measured(robot, resampled(recorded, rng), PLAY))
+    residue = Residue.of(fit, {})
+    covariance = residue.covariance
+    c, (m, a) = len(covariance.split.common), covariance.split.blocks.shape
+    assert a == 3
+    assert len(fit.measurements) > 1
+    steps, block = rng.normal(size=(6, c + a)), np.array([0, m - 1, 1, -1, 2, 0])
+    for i in range(len(fit.measurements)):
+        expected = np.zeros(6)
+        for rows in residue.blocks(i):
+            assert rows.measurements == i
+            for k, (step, own) in enumerate(zip(steps, block, strict=True)):
+                # Each target follows the common parameters, but for the one that is moved.
+                moved = covariance.follow @ step[:c]
+                if own >= 0:
+                    moved[own] = step[c:]
+                change = rows.J[:, :, :c] @ step[:c] + np.einsum("nda,na->nd", rows.J[:, :, c:], moved[rows.block])
+                expected[k] += np.sum(rows.w[:, None] * ((rows.r + change) ** 2 - rows.r**2))
+        found = SquaresOfSet.of(residue.blocks(i), covariance).change(steps, block, covariance)
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_a_row_of_a_small_set_beside_a_large_one_is_judged_by_what_is_left_of_its_own(robot: calib.Robot) -> None:
+    rng = np.random.default_rng(12)
+    large, small = positions(robot, rng, 60), positions(robot, rng, 8)
+    sets = [replace(large, where="large"), replace(small, where="small")]
+    model = machines.model(robot, offsets="all", base="fixed")
+    fit = calib.identify(model, sets, model_sigmas=[2e-3, 2e-3])
+    found = {(row.file, row.line): row for row in calib.judging.outliers(fit).rows}
+    for k, data in enumerate(sets):
+        for n, line in enumerate(data.lines):
+            left = list(sets)
+            left[k] = data.subset(np.arange(len(data)) != n)
+            other = calib.identify(model, left, model_sigmas=[2e-3, 2e-3])
+            sigma, freedom = fit.noise[k].total, fit.noise[k].degrees_of_freedom
+            whole = sum(np.sum((r / noise.total) ** 2) for r, noise in zip(fit.residuals, fit.noise, strict=True))
+            rest = [np.sum((r / noise.total) ** 2) for r, noise in zip(other.residuals, fit.noise, strict=True)]
+            scatter = rest[k] / (freedom - 3)
+            assert sigma > 0.0
+            row = found[data.where, int(line)]
+            assert row.studentised == pytest.approx(np.sqrt((whole - sum(rest)) / scatter / 3), rel=5e-3)
