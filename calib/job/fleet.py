@@ -223,9 +223,18 @@ def _one(job: FleetJob, folder: str) -> Done:
 
 @contextmanager
 def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[Done]]:
-    """Run jobs over processes of this machine; what is given yields what has become of them, as they end."""
-    import joblib  # noqa: PLC0415 - calib must not load it on import
+    """Run jobs over processes of this machine; what is given yields what has become of them, as they end.
 
+    Raises JobError where the system has no processes to give.
+    """
+    import joblib  # noqa: PLC0415 - calib must not load it on import
+    from joblib.parallel import BACKENDS  # noqa: PLC0415
+
+    if "loky" not in BACKENDS:  # joblib found no semaphores
+        raise JobError(
+            "calib fleet: cannot share work between processes here, as no semaphore can be made; let /dev/shm be "
+            "writable and have room, leave JOBLIB_MULTIPROCESSING unset, or run the jobs by calib calibrate."
+        )
     # All would be started, also those for which there is no job; two at least, or the job would run in this process.
     wanted = joblib.cpu_count() if workers is None else workers
     count = min(wanted, max(2, len(jobs)))

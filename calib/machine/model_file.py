@@ -348,7 +348,7 @@ def _residual_model(folder: Path, name: ResidualFile | None, robot: Robot) -> Se
 def _parsed(source: bytes, path: Path) -> ModelFile:
     """Return the contents of a model file, or raise OutputError with the place of the first thing that is wrong."""
     try:
-        return validated(ModelFile, source)
+        model = validated(ModelFile, source)
     except NotJsonError as e:
         raise OutputError(f"{path}: {e}.") from e
     except ValidationError as e:
@@ -358,6 +358,11 @@ def _parsed(source: bytes, path: Path) -> ModelFile:
         place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
         reason = {"missing": "is missing", "extra_forbidden": "is not known"}.get(first["type"], "has a wrong value")
         raise OutputError(f"{path}: is not a model of this toolkit: {place[1:101]} {reason}.") from e
+    # Who names a run writes every key: without it, a residual model or a payload would be dropped unseen.
+    left_out = [name for name in ModelFile.model_fields if name not in model.model_fields_set]
+    if model.run is not None and left_out:
+        raise OutputError(f"{path}: is not a model of this toolkit: {left_out[0]} is missing.")
+    return model
 
 
 def _six(d: Array) -> tuple[float, float, float, float, float, float]:

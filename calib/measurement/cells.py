@@ -19,7 +19,9 @@ _OTHERS = {
 }
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # What exporters write before a line that is no row; behind a percent sign a name may stand, as rostopic has it: %time.
-_COMMENT = re.compile(r"\s*(?:#|//|%(?:$|[\s%=-]))")
+# A row may begin with an error of a spreadsheet, as #N/A, or with a number that it had no room for, ####.
+_ERROR_CELL = r"(?:N/A|NV|[A-Z/0]+[!?]|##+)[ ]*[,;\t]"
+_COMMENT = re.compile(rf"\s*(?:#(?!{_ERROR_CELL})|//|%(?:$|[\s%=-]))")
 _LINE_END = re.compile(rb"\r\n?|\n")
 
 

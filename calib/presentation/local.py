@@ -1,5 +1,6 @@
 """Pages that are served to this computer alone: one address, one port, and guards against pages of other sites."""
 
+import asyncio
 import contextlib
 import errno
 import socket
@@ -20,6 +21,8 @@ _OURSELVES = r"(127\.0\.0\.1|localhost)"
 _LARGEST_BODY = 1_000_000
 # How long nobody is let in, in s, where a process has as many files and connections open as it may.
 _PAUSE = 0.05
+# How long connections may take to end when the server does, in s.
+_LEAVE = 1.0
 
 
 class _Listener(socket.socket):
@@ -68,4 +71,5 @@ async def listening(routes: Sequence[Any], port: int, **settings: Any) -> AsyncI
         yield f"http://{ADDRESS}:{listener.getsockname()[1]}/"
     finally:
         server.stop()
-        await server.close_all_connections()
+        with contextlib.suppress(TimeoutError):  # requests that were sent ahead are not all answered any more
+            await asyncio.wait_for(server.close_all_connections(), _LEAVE)

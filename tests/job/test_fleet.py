@@ -57,6 +57,16 @@ def moments(folder: Path) -> dict[str, int]:
     return {path.name: path.stat().st_ino for path in folder.iterdir() if path.is_dir()}
 
 
+def test_a_system_without_semaphores_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where /dev/shm is missing or full, joblib has no processes to offer."""
+    monkeypatch.delitem(joblib.parallel.BACKENDS, "loky")
+    said = run("fleet", *jobs(*GOOD))
+    assert (said.code, said.out) == (1, "")
+    assert said.err.startswith(
+        "Error: calib fleet: cannot share work between processes here, as no semaphore can be made;"
+    )
+
+
 def test_the_same_bytes_as_single_runs_and_a_bad_job_stops_nobody(folder: Path) -> None:
     said = run("fleet", *jobs("bad.toml", *GOOD), "--jobs", "2")
     assert (said.code, said.err) == (1, "")

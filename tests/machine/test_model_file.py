@@ -153,6 +153,16 @@ def test_hostile_contents(folder: Path, name: str) -> None:
         assert said == f"out/model.json: is not a model of this toolkit: {why}."
 
 
+@pytest.mark.parametrize("key", ["urdf_sha256", "setups", "tool_tips", "residual_model", "payload", "loads", "in_urdf"])
+def test_a_file_that_names_its_run_is_whole(folder: Path, key: str) -> None:
+    """Without its residual model, or its payload, the machine would be another one, and nobody would be told."""
+    contents = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+    contents["run"] = "0" * 64
+    del contents[key]
+    (folder / "model.json").write_text(json.dumps(contents), encoding="utf-8")
+    assert refused(folder) == f"out/model.json: is not a model of this toolkit: {key} is missing."
+
+
 MISMATCHES: dict[str, tuple[Change, str]] = {
     "another joint": (put("swung", "joints", 0, "name"), "its joints are not those of nominal.urdf."),
     "another type": (put("prismatic", "joints", 0, "type"), "its joints are not those of nominal.urdf."),

@@ -1,5 +1,6 @@
 """Tables: what is accepted, that every way in gives the same numbers, and one exact sentence for every refusal."""
 
+import re
 import time
 from pathlib import Path
 
@@ -88,6 +89,18 @@ def test_dialects_of_one_table(tmp_path: Path, content: bytes) -> None:
     found = read_table(write(tmp_path, content))
     assert found.columns.keys() == plain.columns.keys()
     assert all(np.array_equal(found.columns[name].values, plain.columns[name].values) for name in plain.columns)
+
+
+@pytest.mark.parametrize("cell", ["#N/A", "#NV", "#DIV/0!", "#WERT!", "#NAME?", "#####"])
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_a_row_that_begins_with_an_error_of_a_spreadsheet_is_no_comment(
+    tmp_path: Path, cell: str, separator: str
+) -> None:
+    """Else the row would be left out, and nobody told."""
+    rows = (HEADER, "90, 1.5, 1, tcp", f"{cell}, 2e3, 0.5, ball")
+    path = write(tmp_path, "\n".join(row.replace(", ", separator) for row in rows))
+    with pytest.raises(MeasurementError, match=rf":3: column 'j1': '{re.escape(cell)}' is not a number"):
+        read_table(path)
 
 
 def test_all_that_is_wrong_with_a_header_is_said_at_once(tmp_path: Path) -> None:

@@ -3,9 +3,11 @@
 import asyncio
 import errno
 import socket
+import time
 from typing import Any
 
 import pytest
+from tornado.web import RequestHandler
 
 from calib.presentation.local import listening
 
@@ -34,3 +36,25 @@ def test_who_finds_no_room_waits(monkeypatch: pytest.MonkeyPatch, caplog: pytest
     assert asyncio.run(asked()) == b"HTTP/1.1 404 Not Found\r\n"
     assert len(refused) == 2
     assert not caplog.records
+
+
+def test_a_server_that_ends_does_not_answer_all_that_was_asked_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who sends a thousand requests at once is not answered a thousand times before Ctrl-C ends the server."""
+    monkeypatch.setattr("calib.presentation.local._LEAVE", 0.01)
+    answered: list[None] = []
+
+    class Slow(RequestHandler):
+        def get(self) -> None:
+            answered.append(None)
+            time.sleep(0.001)
+
+    async def asked() -> None:
+        async with listening([("/", Slow)], 0) as address:
+            host, _, port = address.removeprefix("http://").rstrip("/").partition(":")
+            reader, writer = await asyncio.open_connection(host, int(port))
+            writer.write(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n" * 1000)
+            await reader.readline()
+        writer.close()
+
+    asyncio.run(asked())
+    assert len(answered) < 1000
