@@ -380,8 +380,15 @@ def test_dh_as_json(folder: Path) -> None:
 
 def test_cell_as_json(folder: Path) -> None:
     assert run("calibrate", JOB, "-o", "out", "-q").code == 0
-    said = run("cell", "arm_cmm.urdf", "out", "-o", "cell.urdf", "--json")
+    said = run("cell", "arm_cmm.urdf", "out", "-o", "no.urdf", "--placed-in", "arm")
+    assert (said.code, said.err) == (
+        1,
+        "Error: out: its base was found in an instrument's frame, and not in the base of an arm that touched it: "
+        "--placed-in arm is wrong here.\n",
+    )
+    said = run("cell", "out", "out", "-o", "cell.urdf", "--json")
     contents = json.loads(said.out)
+    assert contents["placed_in"] == "instrument"
     assert (said.code, contents["file"], contents["scene"]) == (0, "cell.urdf", None)
     assert contents["joints"]["joint_1"] != "joint_1"
     assert np.array(contents["placement"]).shape == (4, 4)

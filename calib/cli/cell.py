@@ -1,11 +1,12 @@
 """``calib cell``: an arm and what it touched, in one URDF."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from calib.cli.application import IN_WORDS, MORE, Telling, command
+from calib.cli.application import IN_WORDS, MORE, NOT_TRUSTED, Telling, command
 from calib.cli.options import MeshRoots, SetupName, argument, mesh_folders, option, refuse_idle, written
 from calib.foundations.choices import PlacedIn
 from calib_start import loading
@@ -18,8 +19,9 @@ def cell(
     out: Annotated[Path, written("FILE", "The cell's URDF, to be written.")],
     scene: Annotated[Path | None, option("--scene", "FILE", "Also draw it (HTML).")] = None,
     placed_in: Annotated[
-        PlacedIn, typer.Option("--placed-in", help="In whose frame the positioner's base was found.")
-    ] = "arm",
+        PlacedIn | None,
+        typer.Option("--placed-in", help="In whose frame the positioner's base was found; else as its results say."),
+    ] = None,
     setup: SetupName = None,
     prefix: Annotated[str | None, option("--prefix", "NAME", "Put before names that both use, as NAME_.")] = None,
     mesh_root: MeshRoots = None,
@@ -28,14 +30,18 @@ def cell(
     """Put an arm and the positioner it touched into one URDF.
 
     The positioner is fixed to the arm's base link, at its calibrated pose. Names that both use are changed in the
-    positioner. It may also be another arm, a turntable or a track.
+    positioner. It may also be another arm, a turntable or a track. Says how sure its place is. Exit codes: 0 good, 1
+    bad input and nothing written, 2 wrong usage, 3 written, but of results that are not to be trusted.
     """
     with loading():
         from calib.compensation.cell import calibrated_cell
         from calib.foundations.errors import JobError
         from calib.foundations.files import refuse_taken, write_together
+        from calib.presentation.acceptance_tables import place_lines
+        from calib.presentation.console import warning
         from calib.presentation.machine_scene import cell_scene
         from calib.presentation.scene import render_scene
+        from calib.results.folder import RESULT_FILE, read_result
     if scene is None:
         refuse_idle("meshes are read for --scene alone.", {"--mesh-root": mesh_root})
     if scene == out:
@@ -44,6 +50,8 @@ def cell(
     found = calibrated_cell(arm, positioner, placed_in, prefix, setup=setup)
     # As in a job: the URDF's own folder, and what is named.
     roots = (arm.parent, *mesh_folders(mesh_root))
+    judged = [folder for folder in dict.fromkeys((arm, positioner)) if os.path.lexists(folder / RESULT_FILE)]
+    doubted = [folder for folder in judged if not read_result(folder).trusted]
     files: dict[Path, bytes | str] = {out: found.cell.document}
     if scene is not None:
         files[scene] = render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
@@ -51,6 +59,18 @@ def cell(
     renamed = found.cell.renamed
     changed = f" Renamed, as both use the name: {', '.join(renamed)}." if renamed else ""
     telling.tell(
-        lambda: {"file": str(out), "scene": None if scene is None else str(scene), **found.contents()},
-        lambda: [f"The cell is in {out}.{changed}"],
+        lambda: {
+            "file": str(out),
+            "scene": None if scene is None else str(scene),
+            **found.contents(),
+            "not_trusted": list(map(str, doubted)),
+        },
+        lambda: [
+            *(warning(f"{folder} is not trusted: see its own report.") for folder in doubted),
+            *map(warning, found.remarks),
+            *place_lines(found),
+            f"The cell is in {out}.{changed}",
+        ],
     )
+    if doubted:
+        raise typer.Exit(NOT_TRUSTED)

@@ -1,24 +1,28 @@
 """An instrument that is a calibrated arm, as a job describes it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations.arrays import read_only
+from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.units import MM
 from calib.job.schema import InstrumentSection
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import NOMINAL_FILE, load_machine, residual_file
+from calib.machine.place import Place
 from calib.machine.run import MODEL_FILE
+from calib.machine.standing import place_of_touched, with_tool_point
 from calib.machine.touching import TouchingArm
 from calib.measurement.checks import Finding
 from calib.measurement.conditions import refuse_lacking
+from calib.measurement.measurements import ONLY_TOOL
 from calib.measurement.touches import read_touches
 from calib.positioner.pivot import pivot
+from calib.robot.conditions import Conditions
 from calib.robot.load import load_robot
 from calib.robot.sources import EXAMPLE, resolve
 
@@ -30,11 +34,27 @@ class ReadArm(NamedTuple):
     """A touching arm as a job describes it.
 
     ``files``: what it was read from, by the name that the job gives it. ``findings``: doubts about the pivoting.
+    ``tool``: the name of the tool, where it is one of the arm's. ``scatter`` (3, 3): the covariance of a tool point
+    that was pivoted, by the noise of its touches, in m^2.
     """
 
     arm: TouchingArm
     files: Mapping[str, Path]
     findings: tuple[Finding, ...] = ()
+    tool: str | None = None
+    scatter: Array | None = None
+
+    def place(self, touches: Sequence[tuple[Array, Conditions]]) -> Place | None:
+        """Return what the arm's errors do to the place of what it touched; None where they are not known.
+
+        ``touches``: readings (M, nr) of the arm there, and conditions.
+        """
+        if self.arm.machine.uncertainty is None:
+            return None
+        if self.tool is not None:
+            return place_of_touched(self.arm.machine, self.tool, touches)
+        scatter = np.zeros((3, 3)) if self.scatter is None else self.scatter
+        return place_of_touched(with_tool_point(self.arm.machine, self.arm.point, scatter), ONLY_TOOL, touches)
 
 
 def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
@@ -61,7 +81,7 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
         if section.tool not in model.tools:
             known = ", ".join(map(repr, model.tools)) or "none"
             raise JobError(f"instruments.{name}.tool: {section.tool!r} is not a tool of the arm; it has {known}.")
-        return ReadArm(replace(arm, point=read_only(model.tools[section.tool][:3, 3])), files)
+        return ReadArm(replace(arm, point=read_only(model.tools[section.tool][:3, 3])), files, tool=section.tool)
     if section.point is not None:
         point = read_only([length.si for length in section.point])
         return ReadArm(replace(arm, point=point), files)
@@ -92,4 +112,7 @@ def _pivoted(arm: TouchingArm, files: Mapping[str, Path], file: str, folder: Pat
                 f"{arm.sigma / MM:.3g} mm.",
             )
         )
-    return ReadArm(replace(arm, point=found.tool_point), {**files, file: folder / file}, tuple(findings))
+    scatter = found.covariance[:3, :3]
+    return ReadArm(
+        replace(arm, point=found.tool_point), {**files, file: folder / file}, tuple(findings), scatter=scatter
+    )

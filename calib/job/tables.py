@@ -10,7 +10,8 @@ from calib.foundations.errors import JobError, MeasurementError, naming
 from calib.job.read import Progress, read_board
 from calib.job.schema import FLOOR, InstrumentSection, Job, MeasurementsSection
 from calib.job.stated import carrier_of, in_si, payload_of
-from calib.machine.touching import touched
+from calib.machine.place import Placed
+from calib.machine.touching import touched, touches_of
 from calib.measurement.checks import Finding
 from calib.measurement.formats.lens_files import read_lens
 from calib.measurement.instruments import Camera, CameraPlace, LaserTracker
@@ -115,6 +116,30 @@ def arms_of(job: Job, path: Path) -> dict[str, "ReadArm"]:
 
     with naming(path, JobError):
         return {name: read_arm(name, section, path.parent) for name, section in arms.items()}
+
+
+def placed(
+    sections: Sequence[MeasurementsSection], sets: Sequence[Measurements], arms: Mapping[str, "ReadArm"], folder: Path
+) -> Placed | None:
+    """Return in whose frame the robot's bases are that tables to identify from show; None where there are several.
+
+    And None where nothing shows a base.
+    """
+    showing = {
+        section.instrument if section.instrument in arms else None
+        for section, data in zip(sections, sets, strict=True)
+        if section.use == "identify" and (data.position is not None or data.camera is not None)
+    }
+    if len(showing) != 1:
+        return None
+    (name,) = showing
+    if name is None:
+        return Placed("instrument")
+    # Rows that were held out are of the same touches.
+    arm = arms[name]
+    own = [section for section in sections if section.use == "identify" and section.instrument == name]
+    files = {section.file: _columns(section) for section in own}
+    return Placed("arm", arm.place([touches_of(folder / file, arm.arm, columns) for file, columns in files.items()]))
 
 
 def measurements_of(

@@ -11,6 +11,7 @@ from calib.foundations.errors import MeasurementError, RobotError
 from calib.foundations.ranges import refuse_no_placement
 from calib.foundations.words import listed, not_calibrated
 from calib.identification.machine import Frames, Layout, Machine
+from calib.machine.place import Placed
 from calib.machine.residual_model import ResidualModel, shifted
 from calib.machine.tool_motion import tool_jacobian
 from calib.machine.uncertainty import Uncertainty
@@ -30,7 +31,8 @@ class CalibratedMachine:
     the tip link, by name; ``tool_tips``: the links of those tools that are on another link. ``residual_model``: a
     function of the joint readings for the remaining errors of tool positions, or None. ``uncertainty``: the
     uncertainty of the whole machine, or None where it is not known. ``in_urdf``: the best machine that a URDF can
-    hold, with bases and tools of its own, if it differs from this one.
+    hold, with bases and tools of its own, if it differs from this one. ``placed``: in whose frame the bases are, None
+    where that is not known.
 
         machine = calib.machine_of(fit)
         machine.predict(readings)  # (N, 4, 4), tool in the instrument's frame, m
@@ -46,6 +48,7 @@ class CalibratedMachine:
     others: Mapping[str, Array] = field(default_factory=dict)
     tool_tips: Mapping[str, str] = field(default_factory=dict)
     in_urdf: "CalibratedMachine | None" = None
+    placed: Placed | None = None
 
     def __post_init__(self) -> None:
         refuse_fields(self)

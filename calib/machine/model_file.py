@@ -20,13 +20,16 @@ from pydantic import (
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.choices import PlacedIn
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.folders import reading_folder
 from calib.foundations.json_text import NotJsonError, validated
+from calib.foundations.linear import triangle
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import GaussianResiduals, gaussian_bytes, load_gaussian
 from calib.machine.grid import SectorGrid, grid_bytes, load_grid
+from calib.machine.place import Place, Placed
 from calib.machine.residual_model import ResidualModel
 from calib.machine.run import MODEL_FILE, Sha256, run_name, text_digest
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE, Strict, load_uncertainty, uncertainty_json
@@ -60,6 +63,15 @@ def _unit(quaternion: tuple[float, float, float, float]) -> tuple[float, float, 
     if not abs(norm - 1.0) <= _NORM_TOLERANCE:
         raise ValueError(f"has the norm {norm:.6g}, and must have 1")
     return quaternion
+
+
+def _equally_long(rows: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+    if len({len(row) for row in rows}) != 1:
+        raise ValueError("the rows are not equally long")
+    return rows
+
+
+_SixRows = Annotated[tuple[tuple[Number, ...], ...], Field(min_length=6, max_length=6), AfterValidator(_equally_long)]
 
 
 class PoseEntry(Strict):
@@ -146,6 +158,43 @@ class GeometryEntry(Strict):
     tools: dict[str, PoseEntry]
 
 
+class PlaceEntry(Strict):
+    """What errors of the arm that touched do to the place, as :class:`calib.machine.place.Place` has them."""
+
+    factor: _SixRows
+    undetermined: _SixRows
+    degrees_of_freedom: Annotated[Number, Field(gt=0.0)] | None
+
+
+class PlacedEntry(Strict):
+    """In whose frame the bases are."""
+
+    within: PlacedIn
+    by_arm: PlaceEntry | None = None
+
+    @classmethod
+    def of(cls, placed: Placed) -> "PlacedEntry":
+        """Return the entry."""
+        by = placed.by_arm
+        if by is None:
+            return cls(within=placed.within)
+        # As many columns as the covariance needs.
+        factor, freedom = triangle(by.factor.T).T, None if np.isinf(by.freedom) else by.freedom
+        entry = PlaceEntry(factor=_rows(factor), undetermined=_rows(by.open), degrees_of_freedom=freedom)
+        return cls(within=placed.within, by_arm=entry)
+
+    @property
+    def placed(self) -> Placed:
+        """What it says."""
+        if self.by_arm is None:
+            return Placed(self.within)
+        factor, undetermined = (
+            read_only(np.array(rows).reshape(6, -1)) for rows in (self.by_arm.factor, self.by_arm.undetermined)
+        )
+        freedom = self.by_arm.degrees_of_freedom
+        return Placed(self.within, Place(factor, undetermined, float("inf") if freedom is None else freedom))
+
+
 class ModelFile(Strict):
     """Schema 1 of ``model.json``. Lengths in m, angles in rad.
 
@@ -153,7 +202,8 @@ class ModelFile(Strict):
     by a newline alone. Earlier versions wrote neither.
     ``base``: in the set-up named ``setup``; ``setups``: the base in the others; ``loads``: gravity and payload in those
     where they are not ``gravity`` and ``payload``. ``links``: the tip and other links that
-    the robot was loaded with; ``tool_tips``: which of them carries a tool that is not on the tip.
+    the robot was loaded with; ``tool_tips``: which of them carries a tool that is not on the tip. ``placed``: in whose
+    frame the bases are.
     """
 
     schema_: Literal[1] = Field(alias="schema")
@@ -178,6 +228,7 @@ class ModelFile(Strict):
     payload: Payload | None = None
     loads: dict[str, Load] = Field(default_factory=dict)
     in_urdf: GeometryEntry | None = None
+    placed: PlacedEntry | None = None
 
     @model_validator(mode="after")
     def _has_each_setup_once(self) -> "ModelFile":
@@ -221,6 +272,7 @@ def model_file(machine: CalibratedMachine, run: str | None = None) -> ModelFile:
         payload=robot.payload,
         loads=dict(robot.loads),
         in_urdf=None if geometry is None else GeometryEntry(**_geometry_of(geometry)),
+        placed=None if machine.placed is None else PlacedEntry.of(machine.placed),
     )
 
 
@@ -306,8 +358,9 @@ def _loaded(folder: Path) -> CalibratedMachine:
     path, counts = folder / UNCERTAINTY_FILE, (1 + len(others), len(tools))
     uncertainty = load_uncertainty(path, equipped, *counts) if tools and os.path.lexists(path) else None
     residuals = _residual_model(folder, model.residual_model, robot)
+    placed = None if model.placed is None else model.placed.placed
     return CalibratedMachine(
-        equipped, deviations, base, tools, residuals, uncertainty, model.setup, others, model.tool_tips, in_urdf
+        equipped, deviations, base, tools, residuals, uncertainty, model.setup, others, model.tool_tips, in_urdf, placed
     )
 
 
@@ -363,6 +416,10 @@ def _parsed(source: bytes, path: Path) -> ModelFile:
     if model.run is not None and left_out:
         raise OutputError(f"{path}: is not a model of this toolkit: {left_out[0]} is missing.")
     return model
+
+
+def _rows(M: Array) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, M.tolist()))
 
 
 def _six(d: Array) -> tuple[float, float, float, float, float, float]:

@@ -77,6 +77,20 @@ def tool_errors(
         return np.concatenate([errors.at(found[rows], told.subset(rows))[0] for rows in blocks])
 
 
+def link_errors(
+    machine: CalibratedMachine, readings: Array, tool: str, *, tool_pose: bool, conditions: Conditions
+) -> tuple[Array, Array]:
+    """Return :func:`tool_errors` (N, 6, r), and what every direction of the null space does (N, 6, k).
+
+    ``tool_pose``: if false, of the link that carries the tool, at the tool's place.
+    """
+    errors = _Errors(_View(machine.of(tool), tool, base=True, tool_pose=tool_pose), machine.known_uncertainty)
+    with one_thread(of_scipy=False):
+        blocks = [slice(start, start + _BLOCK) for start in range(0, len(readings), _BLOCK)]
+        found, unseen = zip(*(errors.at(readings[rows], conditions.subset(rows)) for rows in blocks), strict=True)
+    return np.concatenate(found), np.concatenate(unseen)
+
+
 def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
     """Return :func:`tool_errors` (N, 3 or 6, r) at the rows of ``data``, each with its own tool and set-up.
 

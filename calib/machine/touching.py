@@ -22,7 +22,7 @@ from calib.measurement.conditions import conditions as conditions_of
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.from_table import Joints, measurements_from_table
 from calib.measurement.measurements import Measurements
-from calib.measurement.table import APPROACH, AS_WRITTEN, TORQUE, Column, Columns, read_table
+from calib.measurement.table import APPROACH, AS_WRITTEN, TORQUE, Column, Columns, Table, read_table
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Robot
 
@@ -57,6 +57,22 @@ class TouchingArm:
         return np.asarray(T[:, :3, :3] @ self.point + T[:, :3, 3])
 
 
+def touches_of(path: str | Path, arm: TouchingArm, columns: Columns) -> tuple[Array, Conditions]:
+    """Return the arm's own readings (N, nr), and conditions, in a table that :func:`touched` has read without error."""
+    table = read_table(path, columns)
+    return stacked(table, _dimensions(arm)), _conditions(table, arm)
+
+
+def _dimensions(arm: TouchingArm) -> dict[str, Dimension]:
+    return {reading.name: reading.dimension for reading in arm.machine.robot.readings}
+
+
+def _conditions(table: Table, arm: TouchingArm) -> Conditions:
+    # What is said of all joints, such as one side of approach, is said of the robot.
+    own = replace(table, columns={name: column for name, column in table.columns.items() if name != "direction"})
+    return conditions_of(own, arm.machine.robot.readings)
+
+
 @checked
 def touched(
     path: str | Path,
@@ -75,7 +91,7 @@ def touched(
     robot's, and as :func:`calib.read_measurements` does.
     """
     table = read_table(path, columns)
-    own: dict[str, Dimension] = {reading.name: reading.dimension for reading in arm.machine.robot.readings}
+    own = _dimensions(arm)
     if both := [reading.name for reading in robot.readings if reading.name in own]:
         raise MeasurementError(
             f"{table.where}: {both[0]!r} is a joint of the arm that touches and of the robot; rename one in its URDF."
@@ -90,10 +106,8 @@ def touched(
             f"{table.where}: column {given[0]!r} is there, and the instrument, an arm, gives it as well; keep one "
             "of them."
         )
-    # What is said of all joints, such as one side of approach, is said of the robot.
     told = {f"{what}{name}" for what in (APPROACH, TORQUE) for name in own}
-    arms = replace(table, columns={name: column for name, column in table.columns.items() if name != "direction"})
-    conditions = conditions_of(arms, arm.machine.robot.readings)
+    conditions = _conditions(table, arm)
     refuse_lacking(arm.machine.robot, conditions, table.where)
     with naming_rows(table.where, table.lines):
         points = arm.points(stacked(table, own), conditions)

@@ -7,9 +7,14 @@ from rich.text import Text
 from calib.assessment.acceptance import SIGNIFICANCE, ChiSquare, Verification
 from calib.assessment.drift import Comparison
 from calib.assessment.iso9283 import IsoFigure
+from calib.compensation.cell import CalibratedCell
 from calib.foundations.units import DEG, DISPLAY, MM
+from calib.machine.place import undetermined_in_words
 from calib.presentation.report.document import Row, Sheet
 from calib.presentation.sheets import figures_in, signed
+
+# Three shifts and three turns.
+_ALL_DIRECTIONS = 6
 
 
 def verification_sheet(found: Verification) -> Sheet:
@@ -50,6 +55,23 @@ def verification_lines(found: Verification) -> list[str | Text]:
             )
     lines.append(Text("Passed." if found.passed else "Failed.", style="bold green" if found.passed else "bold red"))
     return lines
+
+
+def place_lines(found: CalibratedCell) -> list[str]:
+    """Return in sentences how sure it is where the second machine of a cell stands."""
+    if found.place is None:
+        return ["How sure its place is in the cell is not known."]
+    undetermined = [said for said, _ in undetermined_in_words(found.place)]
+    position, orientation = found.place.sigmas
+    sure = f"{position / MM:.3f} mm and {orientation / DEG:.4f} deg"
+    if not undetermined:
+        return [f"Its place is known to {sure} (standard deviations of its position and of its orientation)."]
+    if len(undetermined) == _ALL_DIRECTIONS:
+        return ["Its place is not determined: the data show none of it."]
+    return [
+        f"Its place is not determined {', nor '.join(undetermined)}, in the axes of the arm's base. In all other "
+        f"directions it is known to {sure} (standard deviations of its position and of its orientation)."
+    ]
 
 
 def _tested(test: ChiSquare) -> str:

@@ -268,6 +268,7 @@ def is_exported(walked: Walked, folder: Path) -> None:
     of = ("--setup", walked.case.setups[-1]) if len(walked.case.setups) > 1 else ()
     said = run("cell", walked.out, walked.out, "-o", folder / "cell.urdf", *scene, "--prefix", "b_", "--quiet", *of)
     assert said == (0, "", ""), said.err
+    # Its base is in the instrument's frame, or, where rows do not say so, it may be taken as if it were.
     placed = ("--placed-in", "instrument", "--quiet", *of)
     said = run("cell", walked.out, walked.out, "-o", folder / "placed.urdf", *placed)
     assert said == (0, "", ""), said.err

@@ -1,6 +1,9 @@
 """The case robots/positioner: its data is what the script makes, its URDFs are the script's machines."""
 
 import io
+import json
+import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -137,9 +140,63 @@ def test_cell_has_both_machines_at_the_calibrated_place(results: Path, tmp_path:
     assert (again.code, again.err) == (1, f"Error: {cell}: already exists; choose another name.\n")
 
 
+def without(folder: Path, to: Path, *files: str) -> Path:
+    """A copy of results that do not say in whose frame the base is, and without some files."""
+    shutil.copytree(folder, to)
+    model = json.loads((to / "model.json").read_text(encoding="utf-8"))
+    model["placed"] = None
+    (to / "model.json").write_text(json.dumps(model), encoding="utf-8")
+    for name in files:
+        (to / name).unlink()
+    return to
+
+
+def test_cell_says_how_sure_the_place_is(results: Path, tmp_path: Path) -> None:
+    said = run("cell", CASE / "welder.urdf", results, "-o", tmp_path / "cell.urdf")
+    assert re.search(r"Its place is known to 0\.\d{3} mm and 0\.\d{4} deg \(standard", " ".join(said.out.split()))
+    assert f"{results}: does not hold the errors of the arm that touched" in " ".join(said.out.split())
+    told = json.loads(run("cell", CASE / "welder.urdf", results, "-o", tmp_path / "again.urdf", "--json").out)
+    place = told["uncertainty"]
+    variances = np.diag(place["covariance"])
+    assert place["sigma_position"] == pytest.approx(np.sqrt(variances[:3].sum()))
+    assert place["sigma_orientation"] == pytest.approx(np.sqrt(variances[3:].sum()))
+    # Noise of 0.1 mm of 40 touches; and no doubt that is a convention of frames on axes.
+    assert 0.02e-3 < place["sigma_position"] < 0.2e-3
+    assert (place["undetermined"], told["placed_in"], told["not_trusted"]) == ([], "arm", [])
+
+
+def test_whose_frame_it_is_is_known(results: Path, tmp_path: Path) -> None:
+    out = tmp_path / "cell.urdf"
+    said = run("cell", CASE / "welder.urdf", results, "-o", out, "--placed-in", "instrument")
+    assert said.code == 1 and said.err == (
+        f"Error: {results}: its base was found in the base of an arm that touched it, and not in an instrument's "
+        "frame: --placed-in instrument is wrong here.\n"
+    )
+    assert not out.exists()
+    old = without(results, tmp_path / "old", "uncertainty.json")
+    said = run("cell", CASE / "welder.urdf", old, "-o", out, "--json")
+    told = json.loads(said.out)
+    assert (said.code, told["placed_in"], told["uncertainty"]) == (0, "arm", None)
+    assert told["remarks"][0].startswith(f"{old}: does not say in whose frame its base was found;")
+    assert told["remarks"][1] == f"{old}: its uncertainty is not known; calibrate it again."
+    said = run("cell", CASE / "welder.urdf", old, "-o", tmp_path / "words.urdf")
+    assert "How sure its place is in the cell is not known." in said.out
+
+
+def test_a_doubted_result_is_told(results: Path, tmp_path: Path) -> None:
+    doubted = tmp_path / "doubted"
+    shutil.copytree(results, doubted)
+    text = (doubted / "result.json").read_text(encoding="utf-8")
+    (doubted / "result.json").write_text(text.replace('"trusted": true', '"trusted": false', 1), encoding="utf-8")
+    said = run("cell", CASE / "welder.urdf", doubted, "-o", tmp_path / "cell.urdf")
+    assert said.code == 3 and f"{doubted} is not trusted: see its own report." in " ".join(said.out.split())
+    assert (tmp_path / "cell.urdf").exists()
+
+
 def test_cell_of_machines_that_one_instrument_saw(results: Path, tmp_path: Path) -> None:
-    """Both bases in the instrument's frame; and names that both use."""
-    said = run("cell", results, results, "-o", tmp_path / "cell.urdf", "--placed-in", "instrument", "--prefix", "two")
+    """Both bases in the instrument's frame, as older results may be taken; and names that both use."""
+    old = without(results, tmp_path / "old")
+    said = run("cell", old, old, "-o", tmp_path / "cell.urdf", "--placed-in", "instrument", "--prefix", "two")
     assert (said.code, said.err) == (0, "")
     assert "Renamed, as both use the name: two_pedestal, two_cradle, two_table, two_tilt, two_rotary." in " ".join(
         said.out.split()
@@ -152,8 +209,9 @@ def test_cell_of_machines_that_one_instrument_saw(results: Path, tmp_path: Path)
 def test_cells_that_cannot_be_are_one_sentence(results: Path, tmp_path: Path) -> None:
     out = tmp_path / "cell.urdf"
     welder = CASE / "welder.urdf"
+    old = without(results, tmp_path / "old")
     for arguments, sentence in (
-        ((welder, results, "--placed-in", "instrument"), f"{welder}: a URDF does not say where the arm stood in "
+        ((welder, old, "--placed-in", "instrument"), f"{welder}: a URDF does not say where the arm stood in "
          "the instrument's frame; give the folder of its results."),
         ((welder, tmp_path), f"{tmp_path / 'model.json'}: there is no such file."),
         ((tmp_path / "no.urdf", results), f"{tmp_path / 'no.urdf'}: there is no such file."),
