@@ -63,14 +63,17 @@ def place_lines(found: CalibratedCell) -> list[str]:
         return ["How sure its place is in the cell is not known."]
     undetermined = [said for said, _ in undetermined_in_words(found.place)]
     position, orientation = found.place.sigmas
+    # Results name the instrument's frame, and not which instrument it was.
+    one = ["Both are taken to be found by one instrument that stood still."] if found.placed_in == "instrument" else []
     sure = f"{position / MM:.3f} mm and {orientation / DEG:.4f} deg"
     if not undetermined:
-        return [f"Its place is known to {sure} (standard deviations of its position and of its orientation)."]
+        return [*one, f"Its place is known to {sure} (standard deviations of its position and of its orientation)."]
     if len(undetermined) == _ALL_DIRECTIONS:
-        return ["Its place is not determined: the data show none of it."]
+        return [*one, "Its place is not determined: the data show none of it."]
     return [
+        *one,
         f"Its place is not determined {', nor '.join(undetermined)}, in the axes of the arm's base. In all other "
-        f"directions it is known to {sure} (standard deviations of its position and of its orientation)."
+        f"directions it is known to {sure} (standard deviations of its position and of its orientation).",
     ]
 
 
