@@ -81,12 +81,12 @@ def calibrated_cell(
     second = parse_urdf(calibrated_urdf(model.robot, model.deviations), str(positioner))
     placement, root = model.base, np.eye(4)
     if arm.suffix.lower() == ".urdf" and not os.path.lexists(arm / MODEL_FILE):
+        first, carrier = read_urdf(arm), None
         if within == "instrument":
             raise JobError(
                 f"{arm}: a URDF does not say where the arm stood in the instrument's frame; give the folder "
                 "of its results."
             )
-        first, carrier = read_urdf(arm), None
         base = first.root
     else:
         carrier = _standing(arm, setup) if within == "instrument" else load_machine(arm)

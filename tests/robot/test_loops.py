@@ -547,7 +547,9 @@ def test_how_the_tip_follows_readings_is_known_with_its_motion() -> None:
     np.testing.assert_allclose(motion.by_readings(readings), driven, atol=1e-12)
 
 
-def test_a_map_closes_the_loops_of_a_pose_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_map_closes_the_loops_of_a_pose_once_as_identified_and_once_as_nominal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     robot, readings = machine("parallelogram")
     data = calib.poses(robot, readings, robot.tips(readings), sigma=1e-4, sigma_angle=1e-4)
     u = machine_of(calib.identify(calib.error_model(robot, offsets="all"), data))
@@ -556,7 +558,8 @@ def test_a_map_closes_the_loops_of_a_pose_once(monkeypatch: pytest.MonkeyPatch) 
     u.robot.tips(asked, u.deviations)
     once = counted.rows
     calib.judging.tool_uncertainty(u, asked)
-    assert counted.rows == 2 * once > 0
+    # What gravity makes joints hold is that of the nominal arm.
+    assert counted.rows == once + 2 * once > 0
 
 
 # ---- out of the toolkit and back
