@@ -96,6 +96,8 @@ def calibrated_cell(
         if within == "instrument":
             _within(carrier, str(arm), within)
             placement = rigid.inverse(geometry.base) @ placement
+    if setup is not None and setup not in {*whole.bases, *(() if carrier is None else carrier.bases)}:
+        whole.at(setup)  # says which there are
     cell = compose(first, second, base, placement @ model.robot.root_in_base, prefix)
     if within == "arm":
         place, unknown = _touched(whole, str(positioner))

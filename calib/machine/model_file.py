@@ -410,7 +410,7 @@ def _parsed(source: bytes, path: Path) -> ModelFile:
             raise OutputError(f"{path}: is not JSON, or is truncated.") from e
         place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
         reason = {"missing": "is missing", "extra_forbidden": "is not known"}.get(first["type"], "has a wrong value")
-        raise OutputError(f"{path}: is not a model of this toolkit: {place[1:101]} {reason}.") from e
+        raise OutputError(f"{path}: is not a model of this toolkit: {place[1:101] or 'its top level'} {reason}.") from e
     # Who names a run writes every key: without it, a residual model or a payload would be dropped unseen.
     left_out = [name for name in ModelFile.model_fields if name not in model.model_fields_set]
     if model.run is not None and left_out:

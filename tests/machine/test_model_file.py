@@ -140,6 +140,11 @@ HOSTILE: dict[str, tuple[Change, str]] = {
 }
 
 
+def test_a_list_is_no_model(folder: Path) -> None:
+    (folder / "model.json").write_text("[1]", encoding="utf-8")
+    assert refused(folder) == "out/model.json: is not a model of this toolkit: its top level has a wrong value."
+
+
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile_contents(folder: Path, name: str) -> None:
     change, why = HOSTILE[name]

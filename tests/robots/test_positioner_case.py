@@ -213,6 +213,7 @@ def test_cells_that_cannot_be_are_one_sentence(results: Path, tmp_path: Path) ->
     for arguments, sentence in (
         ((welder, old, "--placed-in", "instrument"), f"{welder}: a URDF does not say where the arm stood in "
          "the instrument's frame; give the folder of its results."),
+        ((welder, results, "--setup", "north"), "there is no set-up 'north'; the calibrated one is 'base'."),
         ((welder, tmp_path), f"{tmp_path / 'model.json'}: there is no such file."),
         ((tmp_path / "no.urdf", results), f"{tmp_path / 'no.urdf'}: there is no such file."),
         ((CASE / "truth.toml", results), f"{CASE / 'truth.toml' / 'model.json'}: there is no such file."),
