@@ -13,7 +13,6 @@ from calib.job import refusals, tables
 from calib.job.read import Progress
 from calib.job.schema import Job, MeasurementsSection
 from calib.job.stated import load_arm, meshes_not_found
-from calib.machine.place import Placed
 from calib.measurement.checks import Finding, copied_tables, refuse_findings, table_findings
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Robot
@@ -31,7 +30,7 @@ class Inputs:
 
     ``model``: with what is known of targets and set-ups that are identified from; ``whole_model``: of all.
     ``hashes``: SHA-256 of every input file by its name in the job. ``optics``: how many numbers lenses and boards have.
-    ``placed``: in whose frame the bases are found.
+    ``bases``: what shows where they are.
     """
 
     job: Job
@@ -48,7 +47,7 @@ class Inputs:
     hashes: Mapping[str, str]
     files: tuple[Path, ...]
     optics: "tuple[OpticsChoice, ...]" = ()
-    placed: Placed | None = None
+    bases: tables.ShownBy | None = None
 
     @property
     def losses(self) -> tuple[Loss, ...]:
@@ -147,5 +146,5 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
             *(file for arm in arms.values() for file in arm.files.values()),
         ),
         optics=optics,
-        placed=tables.placed(sections, sets, arms, folder),
+        bases=tables.bases_shown_by(sections, sets, arms, folder),
     )

@@ -56,7 +56,8 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
             {name: said for name, said in inputs.job.about.model_dump().items() if said is not None},
         ),
     )
-    found = replace(found, machine=replace(found.machine, placed=inputs.placed))
+    if inputs.bases is not None:
+        found = replace(found, machine=replace(found.machine, placed=inputs.bases.placed()))
     if known is not None:
         found = replace(found, findings=(*found.findings, *worse(found.machine, fit, inputs.validate)))
         reports = (*reports, LevelReport(inputs.job.levels[-1].name, values, values, found.judged_by["after"]))

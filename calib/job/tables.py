@@ -3,9 +3,10 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from calib.assessment.validation import hold_out
+from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError, naming
 from calib.job.read import Progress, read_board
 from calib.job.schema import FLOOR, InstrumentSection, Job, MeasurementsSection
@@ -22,6 +23,7 @@ from calib.measurement.prints import Print
 from calib.measurement.read import read_measurements, stream_of
 from calib.measurement.streams.stream import ONLY_CLOCK, SKEW, Clock, OneClock
 from calib.measurement.table import Columns, HeaderError
+from calib.robot.conditions import Conditions
 from calib.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -118,13 +120,21 @@ def arms_of(job: Job, path: Path) -> dict[str, "ReadArm"]:
         return {name: read_arm(name, section, path.parent) for name, section in arms.items()}
 
 
-def placed(
-    sections: Sequence[MeasurementsSection], sets: Sequence[Measurements], arms: Mapping[str, "ReadArm"], folder: Path
-) -> Placed | None:
-    """Return in whose frame the robot's bases are that tables to identify from show; None where there are several.
+class ShownBy(NamedTuple):
+    """What shows where a robot's bases are: an instrument, or an ``arm`` by its ``touches``."""
 
-    And None where nothing shows a base.
-    """
+    arm: "ReadArm | None" = None
+    touches: tuple[tuple[Array, Conditions], ...] = ()
+
+    def placed(self) -> Placed:
+        """Return in whose frame the bases are, and what the arm's own errors do to them, which takes some time."""
+        return Placed("instrument") if self.arm is None else Placed("arm", self.arm.place(self.touches))
+
+
+def bases_shown_by(
+    sections: Sequence[MeasurementsSection], sets: Sequence[Measurements], arms: Mapping[str, "ReadArm"], folder: Path
+) -> ShownBy | None:
+    """Return by what tables to identify from show the robot's bases; None where by several, or by none."""
     showing = {
         section.instrument if section.instrument in arms else None
         for section, data in zip(sections, sets, strict=True)
@@ -134,12 +144,12 @@ def placed(
         return None
     (name,) = showing
     if name is None:
-        return Placed("instrument")
+        return ShownBy()
     # Rows that were held out are of the same touches.
     arm = arms[name]
     own = [section for section in sections if section.use == "identify" and section.instrument == name]
     files = {section.file: _columns(section) for section in own}
-    return Placed("arm", arm.place([touches_of(folder / file, arm.arm, columns) for file, columns in files.items()]))
+    return ShownBy(arm, tuple(touches_of(folder / file, arm.arm, columns) for file, columns in files.items()))
 
 
 def measurements_of(
