@@ -189,6 +189,9 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
         place = ".".join(map(str, first["loc"]))[:100] or "its start"
         raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at {place}{_why(first)}.") from e
     refuse_other_run(path, found.run)
+    # Without it every wave would count as large as its width, as in a file of schema 2.
+    if found.schema_ == 3 and found.waves is not None and found.left_out is None:
+        raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at left_out.")
     size = Layout(robot, setups, tools).size
     names = [reading.name for reading in robot.readings]
     factor, null_basis = (_matrix(rows) for rows in (found.factor, found.null_basis))

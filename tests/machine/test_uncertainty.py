@@ -296,6 +296,7 @@ def test_a_value_that_comes_twice_is_refused(tmp_path: Path) -> None:
         (lambda c: c["wind_up"][0].update(body="no_such_joint_x"), "is not of the machine in model.json"),
         (lambda c: c["wind_up"].pop(), "is not of the machine in model.json"),
         (lambda c: c["left_out"][0].append(1.0), "is not of the machine in model.json"),
+        (lambda c: c.pop("left_out"), "is not a file of this toolkit, or is damaged, at left_out"),
         (
             lambda c: c["wind_up"][0].update(width=-1.0),
             "is not a file of this toolkit, or is damaged, at wind_up.0.width: -1 is below 0",
@@ -344,6 +345,7 @@ def test_a_value_that_comes_twice_is_refused(tmp_path: Path) -> None:
         "body",
         "terms",
         "root",
+        "no root",
         "width",
         "period",
         "short",
