@@ -65,64 +65,75 @@ class WhitenedRows(NamedTuple):
         return np.concatenate([self.J, self.r[:, :, None]], axis=2) * np.sqrt(self.w)[:, None, None]
 
 
-class Predicted(NamedTuple):
-    """J^T J of all numbers in m, unwhitened and divided by their number, targets following the common parameters.
+class Curvature(NamedTuple):
+    """J^T J of some rows: of the common parameters, which targets follow, ``common`` (c, c).
 
-    ``common`` (c, c); of what a block (m, a) moves beside that ``own`` (m, a, a), and with the common ``across``
-    (m, a, c).
+    Of what each block does beside that ``own`` (m, a, a), and of both ``across`` (m, a, c).
     """
 
     common: Array
-    own: Array
-    across: Array
-
-
-class SquaresOfSet(NamedTuple):
-    """The weighted sum of squares of one set as a function of a step: gradient and curvature at no step.
-
-    Of the common parameters, which targets follow: ``gradient`` (c,) and ``common`` (c, c). Of what each block does
-    beside that: ``own_gradient`` (m, a), ``own`` (m, a, a) and ``across`` (m, a, c).
-    """
-
-    gradient: Array
-    common: Array
-    own_gradient: Array
     own: Array
     across: Array
 
     @classmethod
+    def none(cls, split: Split) -> "Curvature":
+        """Return that of no rows, to which rows are added."""
+        (m, a), c = split.blocks.shape, len(split.common)
+        return cls(np.zeros((c, c)), np.zeros((m, a, a)), np.zeros((m, a, c)))
+
+    def add(self, J: Array, own: Array, block: IntArray, follow: Array) -> Array:
+        """Add rows (n, d, c), and what their blocks (n,) do, (n, d, a); return the rows of targets that ``follow``."""
+        there, number = block >= 0, block[block >= 0]
+        J = J.copy()
+        J[there] += own[there] @ follow[number]
+        turned = np.swapaxes(own[there], -1, -2)
+        np.add.at(self.own, number, turned @ own[there])
+        np.add.at(self.across, number, turned @ J[there])
+        flat = J.reshape(-1, J.shape[2])
+        np.add(self.common, flat.T @ flat, out=self.common)
+        return J
+
+    def of_steps(self, dc: Array, e: Array, block: IntArray) -> Array:
+        """Return the sums of squares (n,) of steps (n, c), each with one of its ``block`` (n,) beside, (n, a)."""
+        found = np.sum(dc @ self.common * dc, axis=1)
+        if e.size:
+            found += 2.0 * np.einsum("na,nac,nc->n", e, self.across[block], dc)
+            found += np.einsum("na,nab,nb->n", e, self.own[block], e)
+        return np.asarray(found)
+
+
+class SquaresOfSet(NamedTuple):
+    """The weighted sum of squares of one set, by how a step changes it.
+
+    ``gradient`` (c,) of the common parameters, which targets follow, ``own_gradient`` (m, a) of what each block does
+    beside that, and the ``curvature`` of both.
+    """
+
+    gradient: Array
+    own_gradient: Array
+    curvature: Curvature
+
+    @classmethod
     def of(cls, rows: Iterable[WhitenedRows], covariance: Covariance) -> "SquaresOfSet":
         """Sum over the rows of a set."""
-        (m, a), c = covariance.split.blocks.shape, len(covariance.split.common)
-        found = cls(np.zeros(c), np.zeros((c, c)), np.zeros((m, a)), np.zeros((m, a, a)), np.zeros((m, a, c)))
+        split, c = covariance.split, len(covariance.split.common)
+        found = cls(np.zeros(c), np.zeros(split.blocks.shape), Curvature.none(split))
         for some in rows:
             whole = some.weighted
-            J, own, r = whole[:, :, :c], whole[:, :, c:-1], whole[:, :, -1]
-            if own.size:
-                there, number = some.block >= 0, some.block[some.block >= 0]
-                J[there] += own[there] @ covariance.follow[number]
-                turned = np.swapaxes(own[there], -1, -2)
-                np.add.at(found.own_gradient, number, (turned @ r[there][:, :, None])[:, :, 0])
-                np.add.at(found.own, number, turned @ own[there])
-                np.add.at(found.across, number, turned @ J[there])
-            flat = J.reshape(-1, c)
-            np.add(found.gradient, flat.T @ r.ravel(), out=found.gradient)
-            np.add(found.common, flat.T @ flat, out=found.common)
+            own, r = whole[:, :, c:-1], whole[:, :, -1]
+            J = found.curvature.add(whole[:, :, :c], own, some.block, covariance.follow)
+            there = some.block >= 0
+            np.add.at(found.own_gradient, some.block[there], np.einsum("nda,nd->na", own[there], r[there]))
+            np.add(found.gradient, J.reshape(-1, c).T @ r.ravel(), out=found.gradient)
         return found
 
     def change(self, steps: Array, block: IntArray, covariance: Covariance) -> Array:
         """Return by how much the sum grows (n,) with steps (n, c) or (n, c + a), of which each moves one block."""
-        c = len(self.gradient)
-        dc, own = steps[:, :c], steps[:, c:]
-        found = 2.0 * dc @ self.gradient + np.sum(dc @ self.common * dc, axis=1)
-        if own.size:
-            e = own - (covariance.follow[block] @ dc[:, :, None])[:, :, 0]
-            e[block < 0] = 0.0
-            found += 2.0 * np.sum(
-                e * (self.own_gradient[block] + (self.across[block] @ dc[:, :, None])[:, :, 0]), axis=1
-            )
-            found += np.einsum("na,nab,nb->n", e, self.own[block], e)
-        return np.asarray(found)
+        dc, e = _beside_following(steps, block, covariance)
+        along = dc @ self.gradient
+        if e.size:
+            along += np.sum(e * self.own_gradient[block], axis=1)
+        return 2.0 * along + self.curvature.of_steps(dc, e, block)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +141,8 @@ class Residue:
     """A fit as a linear system. Columns of Jacobians are for one parameter scale, as is the ``covariance``.
 
     ``sigma`` (N, d) and ``w`` (N,) of every set: noise and weights of the loss. ``squares`` and ``freedom``: of every
-    set, the whitened sum of squares and the degrees of freedom. ``files``: what tables are called, by where they came
-    from.
+    set, the whitened sum of squares and the degrees of freedom. ``predicted``: of all numbers in m, unwhitened and
+    divided by their number. ``files``: what tables are called, by where they came from.
     """
 
     fit: Fit
@@ -142,7 +153,7 @@ class Residue:
     w: tuple[Array, ...]
     squares: Array
     freedom: Array
-    predicted: Predicted
+    predicted: Curvature
 
     @classmethod
     def of(cls, fit: Fit, files: Mapping[str, str]) -> "Residue":
@@ -199,11 +210,14 @@ class Residue:
         """Return what the table of a set is called."""
         return self.files.get(data.where, data.where)
 
+    @cached_property
+    def _rates(self) -> Rates:
+        return self.problem.rates(self.fit.machine, scales(self.fit.parameters), self.split)
+
     def blocks(self, only: int | None = None) -> Iterator[WhitenedRows]:
         """Yield all rows, or those of one set, block by block."""
-        rates = self.problem.rates(self.fit.machine, scales(self.fit.parameters), self.split)
-        for i, data in enumerate(self.fit.measurements):
-            for block in rates.blocks(data) if only in (None, i) else ():
+        for i in range(len(self.fit.measurements)) if only is None else [only]:
+            for block in self._rates.blocks(self.fit.measurements[i]):
                 sigma = self.sigma[i][block.rows]
                 J, number = _compact(block)
                 whole = np.concatenate([J, block.observed.residual[:, :, None]], axis=2) / sigma[:, :, None]
@@ -213,9 +227,8 @@ class Residue:
     @cached_property
     def whose(self) -> tuple[IntArray, ...]:
         """The block (N,) of every row of every set, -1 for none."""
-        rates = self.problem.rates(self.fit.machine, scales(self.fit.parameters), self.split)
         return tuple(
-            np.full(len(data), -1, dtype=np.intp) if (own := rates.whose(data)) is None else own
+            np.full(len(data), -1, dtype=np.intp) if (own := self._rates.whose(data)) is None else own
             for data in self.fit.measurements
         )
 
@@ -255,20 +268,14 @@ class Residue:
         These are the common ones, and those of one ``block`` (n,) each; other targets follow. As in :class:`Influence`,
         all (n,): the number of the parameter that changes most, its change, the prediction's.
         """
-        c = len(self.split.common)
-        dc, own = steps[:, :c], steps[:, c:]
+        dc, e = _beside_following(steps, block, self.covariance)
         common, of_blocks = self._sigmas
         sigmas = np.broadcast_to(common, dc.shape)
         columns = np.broadcast_to(self.split.common, dc.shape)
-        squares = np.sum(dc @ self.predicted.common * dc, axis=1)
-        if own.size:
+        squares = self.predicted.of_steps(dc, e, block)
+        if e.size:
             sigmas = np.concatenate([sigmas, np.where(block[:, None] >= 0, of_blocks[block], 0.0)], axis=1)
             columns = np.concatenate([columns, self.split.blocks[block]], axis=1)
-            # What the target moves beside following.
-            e = own - (self.covariance.follow[block] @ dc[:, :, None])[:, :, 0]
-            e[block < 0] = 0.0
-            squares += 2.0 * np.einsum("na,nac,nc->n", e, self.predicted.across[block], dc)
-            squares += np.einsum("na,nab,nb->n", e, self.predicted.own[block], e)
         by_sigma = np.divide(steps, sigmas, out=np.zeros_like(steps), where=sigmas > 0.0)
         k = np.argmax(np.abs(by_sigma), axis=1)[:, None]
         change = np.take_along_axis(by_sigma, k, axis=1)[:, 0]
@@ -307,25 +314,27 @@ def _compact(block: Block) -> tuple[Array, IntArray]:
     return np.concatenate([block.J, block.own], axis=2), block.block
 
 
-def _predicted(fit: Fit, rates: Rates, covariance: Covariance) -> Predicted:
-    split, numbers = covariance.split, 0
-    (m, a), c = split.blocks.shape, len(split.common)
-    found = Predicted(np.zeros((c, c)), np.zeros((m, a, a)), np.zeros((m, a, c)))
+def _beside_following(steps: Array, block: IntArray, covariance: Covariance) -> tuple[Array, Array]:
+    """Return steps (n, c) of the common parameters, and what each target moves beside following them, (n, a)."""
+    c = len(covariance.split.common)
+    dc, own = steps[:, :c], steps[:, c:]
+    if not own.size:
+        return dc, own
+    e = own - (covariance.follow[block] @ dc[:, :, None])[:, :, 0]
+    e[block < 0] = 0.0
+    return dc, e
+
+
+def _predicted(fit: Fit, rates: Rates, covariance: Covariance) -> Curvature:
+    found, numbers = Curvature.none(covariance.split), 0
     for data in fit.measurements:
         in_m = [k for quantity in QUANTITIES[data.kind] if quantity.unit == "m" for k in _range(quantity.columns)]
         for block in rates.blocks(data):
-            J = block.J[:, in_m]
-            if block.own is not None and block.block is not None:
-                own, there = block.own[:, in_m], block.block >= 0
-                J = J.copy()
-                J[there] += own[there] @ covariance.follow[block.block[there]]
-                turned = np.swapaxes(own[there], -1, -2)
-                np.add.at(found.own, block.block[there], turned @ own[there])
-                np.add.at(found.across, block.block[there], turned @ J[there])
-            flat = J.reshape(-1, c)
-            np.add(found.common, flat.T @ flat, out=found.common)
-            numbers += len(flat)
-    return Predicted(*(part / numbers if numbers else np.full_like(part, np.nan) for part in found))
+            J, number = _compact(block)
+            c = block.J.shape[2]
+            found.add(J[:, in_m, :c], J[:, in_m, c:], number, covariance.follow)
+            numbers += len(J) * len(in_m)
+    return Curvature(*(part / numbers if numbers else np.full_like(part, np.nan) for part in found))
 
 
 def _range(columns: slice) -> range:

@@ -86,14 +86,12 @@ def outliers(fit: Fit, *, files: Mapping[str, str] | None = None) -> Outliers:
     """
     with linear.one_thread():
         residue = Residue.of(fit, files or {})
-        # Of a single set, no other takes a part of what changes.
-        several = len(fit.measurements) > 1
-        judged = [
-            _judged(residue, block, squares)
-            for i in range(len(fit.measurements))
-            for squares in [SquaresOfSet.of(residue.blocks(i), residue.covariance) if several else None]
-            for block in residue.blocks(i)
-        ]
+        judged: list[_Judged] = []
+        for i in range(len(fit.measurements)):
+            # Of a single set, no other takes a part of what changes.
+            alone = len(fit.measurements) == 1
+            squares = None if alone else SquaresOfSet.of(residue.blocks(i), residue.covariance)
+            judged += [_judged(residue, block, squares) for block in residue.blocks(i)]
         return Outliers(_least_likely(residue, judged), jumps_of(residue, LEVEL), groups_of(residue))
 
 
