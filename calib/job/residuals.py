@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.assessment.comparison import paired
 from calib.assessment.gaussian_choice import MOST_JUDGED, bought
 from calib.assessment.validation import row_groups
 from calib.foundations.arrays import Array
@@ -82,11 +83,15 @@ def worse(machine: CalibratedMachine, fit: Fit, held_out: Sequence[Measurements]
     The noise of what it was measured from is in all that it adds.
     """
     sets = with_positions(held_out)
+    group = row_groups(sets) if sets else np.zeros(0, dtype=np.intp)
+    # A single pose has no standard error.
+    if not group.any():
+        return
     left = residuals_of(fit, sets, fit.machine)
-    without = np.concatenate([np.zeros(0), *(_squared(r) for r in left)])
-    now = np.concatenate([np.zeros(0), *(_squared(machine.less_shifts(r, d)) for r, d in zip(left, sets, strict=True))])
-    more = now - without
-    if len(more) > 1 and np.mean(more) > np.std(more, ddof=1) / np.sqrt(len(more)):
+    without = np.concatenate([_squared(r) for r in left])
+    now = np.concatenate([_squared(machine.less_shifts(r, d)) for r, d in zip(left, sets, strict=True)])
+    more, error = paired(now, without, group)
+    if more > error:
         before, after = (float(np.sqrt(np.mean(of))) / MM for of in (without, now))
         yield Finding.warning(
             "residual-model-worse",
