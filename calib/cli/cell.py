@@ -41,7 +41,7 @@ def cell(
         from calib.presentation.console import warning
         from calib.presentation.machine_scene import cell_scene
         from calib.presentation.scene import render_scene
-        from calib.results.folder import RESULT_FILE, read_result
+        from calib.results.folder import RESULT_FILE, not_trusted, read_result
     if scene is None:
         refuse_idle("meshes are read for --scene alone.", {"--mesh-root": mesh_root})
     if scene == out:
@@ -66,7 +66,7 @@ def cell(
             "not_trusted": list(map(str, doubted)),
         },
         lambda: [
-            *(warning(f"{folder} is not trusted: see its own report.") for folder in doubted),
+            *(warning(not_trusted(folder)) for folder in doubted),
             *map(warning, found.remarks),
             *place_lines(found),
             f"The cell is in {out}.{changed}",

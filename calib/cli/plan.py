@@ -98,13 +98,12 @@ def plan(
             say("reading the collision shapes")
         collision, more = given.collision(robot, roots, wanted=collisions)
         notes += more
-        if not given.is_count(candidates):
-            say("looking at the candidates")
         if given.is_count(candidates):
             found = random_candidates(
                 robot, frames, given.parsed_count(candidates), sight, collision, seed=seed, progress=given.sampling(say)
             )
         else:
+            say("looking at the candidates")
             found = possible(
                 robot, frames, given.different_readings(Path(candidates), robot, columns), sight, collision
             )

@@ -180,7 +180,7 @@ class PlacedEntry(Strict):
             return cls(within=placed.within)
         # As many columns as the covariance needs.
         factor, freedom = triangle(by.factor.T).T, None if np.isinf(by.freedom) else by.freedom
-        entry = PlaceEntry(factor=_rows(factor), undetermined=_rows(by.open), degrees_of_freedom=freedom)
+        entry = PlaceEntry(factor=_rows(factor), undetermined=_rows(by.undetermined_basis), degrees_of_freedom=freedom)
         return cls(within=placed.within, by_arm=entry)
 
     @property

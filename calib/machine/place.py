@@ -52,7 +52,7 @@ class Place:
         return Place(factor, undetermined, min(self.freedom, other.freedom))
 
     @property
-    def open(self) -> Array:
+    def undetermined_basis(self) -> Array:
         """An orthonormal basis (6, m) of what is not determined, a radian being as long as a metre."""
         if not self.undetermined.size:
             return np.zeros((6, 0))
@@ -62,7 +62,8 @@ class Place:
     @property
     def covariance(self) -> Array:
         """The covariance (6, 6) in directions across those that are not determined."""
-        told = self.factor - self.open @ (self.open.T @ self.factor)
+        basis = self.undetermined_basis
+        told = self.factor - basis @ (basis.T @ self.factor)
         return np.asarray(told @ told.T)
 
     @property
@@ -86,7 +87,8 @@ class Place:
 
     def inside(self, twist: Array, probability: float = 0.95) -> bool:
         """Tell whether an error (6,) is inside the region of the given probability, across what is not determined."""
-        across = svd(np.eye(6) - self.open @ self.open.T)[0][:, : 6 - self.open.shape[1]]
+        basis = self.undetermined_basis
+        across = svd(np.eye(6) - basis @ basis.T)[0][:, : 6 - basis.shape[1]]
         if not across.size:
             return True
         x, C = across.T @ twist, across.T @ self.covariance @ across
@@ -111,7 +113,7 @@ def undetermined_in_words(place: Place) -> tuple[tuple[str, Array], ...]:
 
     In the axes of the place, and from its origin. A line through it is that of a turn about it.
     """
-    basis = place.open
+    basis = place.undetermined_basis
     if not basis.size:
         return ()
     _, sizes, Vt = svd(basis[3:])

@@ -69,12 +69,8 @@ def tool_errors(
     column j is what one standard deviation of such an error does to every pose, axes as of :class:`ToolUncertainty`.
     Scatter from pose to pose comes on top. Arguments and errors as of :func:`tool_uncertainty`.
     """
-    found, known = _readings(machine, readings), machine.known_uncertainty
-    told = conditions or ordinary(found)
-    errors = _Errors(_View(machine.of(tool), tool, base=True, tool_pose=True), known)
-    with one_thread(of_scipy=False):
-        blocks = [slice(start, start + _BLOCK) for start in range(0, len(found), _BLOCK)]
-        return np.concatenate([errors.at(found[rows], told.subset(rows))[0] for rows in blocks])
+    found = _readings(machine, readings)
+    return link_errors(machine, found, tool, tool_pose=True, conditions=conditions or ordinary(found))[0]
 
 
 def link_errors(

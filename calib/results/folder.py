@@ -191,6 +191,11 @@ def read_result(folder: Path) -> "ResultFile":
     return found
 
 
+def not_trusted(folder: Path) -> str:
+    """Return what is said wherever a result is used that is not to be trusted."""
+    return f"{folder} is not trusted: see its own report."
+
+
 def robot_errors(folder: Path) -> dict[str, float]:
     """Return the identified parameters of a robot, in SI units, from a folder of results.
 

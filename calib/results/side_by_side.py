@@ -8,7 +8,7 @@ from calib.foundations.units import MM
 from calib.presentation.acceptance_tables import change_sheet, comparison_sentences
 from calib.presentation.report.document import Block, Prose, Report, Row, Section, Sheet, Tile, Verdict
 from calib.presentation.sheets import SHOWN
-from calib.results.folder import read_result
+from calib.results.folder import not_trusted, read_result
 from calib.results.result_file import ResultFile
 
 
@@ -20,7 +20,7 @@ def side_by_side(folders: tuple[Path, Path], found: Comparison) -> Report:
     old, new = map(read_result, folders)
     *reasons, headline = comparison_sentences(found)
     both = zip(folders, (old, new), strict=True)
-    warnings = [f"{folder} is not trusted: see its own report." for folder, one in both if not one.trusted]
+    warnings = [not_trusted(folder) for folder, one in both if not one.trusted]
     tiles = [
         Tile("tips differ by (rms)", f"{found.tip_rms / MM:.4f} mm"),
         Tile("explained", f"{found.stated / MM:.4f} mm"),

@@ -83,6 +83,26 @@ def winding(readings: Array) -> Array:
     return found
 
 
+def against_the_truth(
+    off: Callable[[Array], Array], rows: int, poses: int, **options: object
+) -> tuple[float, float, CalibratedMachine, Array]:
+    """Of four sessions: how often regions hold, and how large errors are stated to be, by the true ones.
+
+    And the machine and the readings of the last session.
+    """
+    inside, true, stated = [], 0.0, 0.0
+    for seed in range(4):
+        fit, points, arm = fitted(seed, rows, off, **options)
+        q = arm.draw(np.random.default_rng(seed + 50), poses)
+        machine = machine_of(fit)
+        found = tool_uncertainty(machine, q)
+        errors = machine.predict(q)[:, :3, 3] - points(q)
+        inside.append(found.inside(errors).mean())
+        true += float(np.mean(np.sum(errors**2, axis=1)))
+        stated += float(np.mean(found.position**2))
+    return float(np.mean(inside)), float(np.sqrt(stated / true)), machine, q
+
+
 def share(machine: CalibratedMachine, readings: Array, cause: str) -> float:
     return float(np.sqrt(np.mean(tool_uncertainty(machine, readings).budget[cause][:, 0] ** 2)))
 
@@ -105,18 +125,9 @@ def test_shares_add_up_to_the_covariance() -> None:
 
 def test_what_repeats_with_the_readings_is_the_models_and_found_in_size() -> None:
     for off, least, most in ((np.zeros_like, 0.0, 0.4), (waving, 0.7, 1.6)):
-        inside, true, stated = [], 0.0, 0.0
-        for seed in range(4):
-            fit, points, arm = fitted(seed, 120, off)
-            q = arm.draw(np.random.default_rng(seed + 50), 100)
-            machine = machine_of(fit)
-            found = tool_uncertainty(machine, q)
-            errors = machine.predict(q)[:, :3, 3] - points(q)
-            inside.append(found.inside(errors).mean())
-            true += float(np.mean(np.sum(errors**2, axis=1)))
-            stated += float(np.mean(found.position**2))
-        assert np.mean(inside) > 0.9
-        assert 0.8 < np.sqrt(stated / true) < 1.8
+        inside, by_truth, machine, q = against_the_truth(off, 120, 100)
+        assert inside > 0.9
+        assert 0.8 < by_truth < 1.8
         # 0.15 mrad in six joints of a UR10 move the tool by some 0.17 mm.
         model = share(machine, q, "model") / 1.7e-4
         assert least <= model < most
@@ -232,18 +243,9 @@ def test_wind_up_is_what_masses_that_nobody_states_do_to_readings() -> None:
 @pytest.mark.parametrize("observes", ["position", "pose"])
 def test_regions_are_as_large_as_what_wind_up_leaves_out(observes: str) -> None:
     """Wind-up follows several readings at once, and that of the shoulder is far larger than any other."""
-    inside, true, stated = [], 0.0, 0.0
-    for seed in range(4):
-        fit, points, arm = fitted(seed, 60, winding, observes=observes)
-        q = arm.draw(np.random.default_rng(seed + 50), 50)
-        machine = machine_of(fit)
-        found = tool_uncertainty(machine, q)
-        errors = machine.predict(q)[:, :3, 3] - points(q)
-        inside.append(found.inside(errors).mean())
-        true += float(np.mean(np.sum(errors**2, axis=1)))
-        stated += float(np.mean(found.position**2))
-    assert np.mean(inside) > 0.945
-    assert 0.95 < np.sqrt(stated / true) < 1.2
+    inside, by_truth, _, _ = against_the_truth(winding, 60, 50, observes=observes)
+    assert inside > 0.945
+    assert 0.95 < by_truth < 1.2
 
 
 def test_waves_of_what_slides_have_a_length_for_their_period() -> None:

@@ -94,7 +94,7 @@ def test_factor_is_what_differences_say(name: tuple[str, str]) -> None:
     place = place_of(machine)
     rows = np.hstack([A, null, (weights[:, None] * local).reshape(-1, 6)])
     columns = np.random.default_rng(0).choice(known.factor.shape[1], 12, replace=False)
-    across = np.eye(6) - place.open @ place.open.T
+    across = np.eye(6) - place.undetermined_basis @ place.undetermined_basis.T
     for k in columns:
         expected = np.linalg.lstsq(rows, motion(known.factor[:, k]), rcond=1e-3)[0][:6]
         size = np.abs(place.factor).max()
