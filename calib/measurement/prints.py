@@ -1,5 +1,6 @@
 """Printed boards: a chessboard, or one with markers in its white squares (ChArUco), and the marks that cameras see."""
 
+import re
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -9,12 +10,14 @@ from calib.foundations.arguments import refuse_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
+from calib.foundations.words import shown
 from calib.measurement.boards import ONLY_BOARD, SQUARE_SIGMA, Board, BoardShape
 
 PrintKind = Literal["charuco", "chessboard"]
 # The shape of the board that is sought, or the one that photographs ask for.
 PrintShape = Literal["flat", "quadratic", "free", "auto"]
 LEAST_SQUARES, MOST_SQUARES = 3, 100
+_DICTIONARY = re.compile(r"DICT_\w+", re.ASCII)
 # As large a share of a square may a marker be: its edge needs white beside it.
 _LARGEST_MARKER = 0.95
 
@@ -51,6 +54,8 @@ class Print:
         if self.kind == "charuco":
             if not self.dictionary:
                 raise JobError("board: dictionary is missing; a ChArUco board has markers, like those of DICT_4X4_50.")
+            if not _DICTIONARY.fullmatch(self.dictionary):
+                raise JobError(f"board: dictionary is {shown(self.dictionary)}; names of OpenCV are like DICT_4X4_50.")
             refuse_beyond(self.marker, "square, marker", "board: marker")
             if self.marker > _LARGEST_MARKER * self.square:
                 raise JobError(

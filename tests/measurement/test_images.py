@@ -92,6 +92,7 @@ def test_a_tiny_image_is_refused(tmp_path: Path) -> None:
         (("charuco", (2, 5), 0.03, 0.02, "DICT_4X4_50"), "has 2 squares; allowed are 3 to 100"),
         (("charuco", (7, 5), 0.03, 0.03, "DICT_4X4_50"), "has no white around it"),
         (("charuco", (7, 5), 0.03, 0.02), "dictionary is missing"),
+        (("charuco", (7, 5), 0.03, 0.02, "-30 mm"), "dictionary is '-30 mm'; names of OpenCV are like DICT_4X4_50"),
         (("charuco", (7, 5), 20.0, 0.02, "DICT_4X4_50"), "square is 20 m; allowed is 0.0001 to 10 m"),
         (("chessboard", (7, 5), 0.03), "of 7 x 5 squares looks the same upside down"),
         (("chessboard", (8, 5), 0.03, 0.02), "a chessboard has no markers"),

@@ -101,6 +101,10 @@ def test_opencv(tmp_path: Path) -> None:
         (ROS.replace("-0.0002", "10:00"), "the distortion is not a list of numbers"),
         (KALIBR.replace("radtan", "equidistant"), "cam0 is of the models 'pinhole' and 'equidistant'"),
         (KALIBR.replace("900.5, ", ""), "intrinsics has 3 numbers"),
+        (ROS.replace("1280", "-1280"), "image_width is '-1280'; allowed are whole numbers of pixels from 1"),
+        (ROS.replace("720", "[720]"), "image_height is no number; allowed are whole numbers of pixels from 1"),
+        (KALIBR.replace("[1280, ", "["), "resolution is no list of two numbers"),
+        (KALIBR.replace("1280", "0"), "the width of resolution is '0'; allowed are whole numbers"),
         (KALIBR.replace("0.0001,", "0.0001, 0, 0, 1,"), "the distortion has 7 numbers; read are k1, k2, p1, p2"),
     ],
 )

@@ -131,6 +131,25 @@ def test_cells_that_are_no_numbers_and_columns_without_a_name_are_told(folder: P
     )
 
 
+@pytest.mark.parametrize(
+    ("rows", "title", "x", "says"),
+    [
+        (1, "x", "100", "only one row has numbers in a1 to a6 and x, y, z"),
+        (2, "x", "100", "a1 to a6 have no unit, and rad and deg are both within the limits"),
+        (2, "x [deg]", "100", "a1 to a6 or the point have units of another quantity"),
+        (2, "x", "1e308", "a1 to a6 and x, y, z have numbers that no arm has, beyond 10000 rad or m"),
+    ],
+)
+def test_columns_that_can_be_read_in_no_way_are_told_why(
+    folder: Path, rows: int, title: str, x: str, says: str
+) -> None:
+    table = [f"a1,a2,a3,a4,a5,a6,{title},y,z", f"0.1,0.2,0.3,0.4,0.5,0.6,{x},200,300", "0.2,0,0.3,0,0.5,0,10,20,30"]
+    (folder / "few.csv").write_text("\n".join(table[: rows + 1]))
+    said = run("init", UR10, "few.csv", "-y")
+    assert said.code == 1
+    assert says in said.err
+
+
 def test_files_by_their_names_judge(folder: Path) -> None:
     put(folder, "no units")
     put(folder, "semicolons and decimal commas", "validation.csv")

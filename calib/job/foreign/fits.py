@@ -6,7 +6,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.errors import MeasurementError
 from calib.foundations.units import MM, UNITS
 from calib.foundations.words import first_of
 from calib.identification.followed import FEWEST_ROWS, Followed, followed
@@ -33,6 +34,8 @@ _MOST_PARTS = 12
 # What the arm follows as well as this, in every part, is no chance.
 _PARTS_FOLLOW = 0.1
 _LOOKED_AT = 12
+# With fewer rows nothing is tried, nor with readings in rad or points in m beyond this.
+_FEWEST_TRIED, _LARGEST = 2, 1e4
 
 
 def trials(seen: Seen, picks: Sequence[Pick], lengths: Sequence[str], before: int = 0) -> list[Trial]:
@@ -75,25 +78,48 @@ def _trials_of(seen: Seen, pick: Pick, lengths: Sequence[str]) -> list[Trial]:
     robot = seen.robot(pick.arm)
     columns, point = _columns_of(seen, pick)
     numbers = numbers_of(seen.raw, (*pick.joints.columns, *pick.point.columns))
-    rows = np.flatnonzero(np.isfinite(numbers).all(axis=1) & seen.alike())
+    rows = _rows(seen, pick)
     if len(rows) > _MOST_ROWS:
         rows = rows[np.linspace(0, len(rows) - 1, _MOST_ROWS).astype(np.intp)]
-    if len(rows) < 2 or not of_dimension(point, "length"):
+    if len(rows) < _FEWEST_TRIED or not of_dimension(point, "length"):
         return []
     found = []
     for angle, slide in units_of_joints(seen, robot, columns):
         q = readings_in(robot, columns, angle, slide)[rows]
-        if np.abs(q).max() > 1e4:
+        if np.abs(q).max() > _LARGEST:
             continue
         tips = robot.tips(q)
         for unit in options(point, seen.answers.lengths, lengths):
             factors = [UNITS[column.symbol or unit].factor for column in point]
             position = numbers[rows, -3:] * factors
-            if np.abs(position).max() > 1e4:
+            if np.abs(position).max() > _LARGEST:
                 continue
             fit = followed(tips, position) if len(rows) >= FEWEST_ROWS else Followed(np.inf, np.inf, np.eye(4))
             found.append(Trial(pick, (angle, slide, unit), tips, position, rows, fit))
     return found
+
+
+def _rows(seen: Seen, pick: Pick) -> IntArray:
+    """Return the rows with numbers for joints and point, of a table with other rows beside."""
+    assert pick.point is not None
+    numbers = numbers_of(seen.raw, (*pick.joints.columns, *pick.point.columns))
+    return np.flatnonzero(np.isfinite(numbers).all(axis=1) & seen.alike())
+
+
+def _why_none(seen: Seen, pick: Pick) -> str:
+    """Return why there is no way at all to read a pick."""
+    assert pick.point is not None
+    columns = f"{seen.titles(pick.joints.columns)} and {seen.titles(pick.point.columns)}"
+    if (rows := len(_rows(seen, pick))) < _FEWEST_TRIED:
+        found = "only one row" if rows else "no row"
+        raise MeasurementError(
+            f"{seen.raw.where}: {found} has numbers in {columns}; what columns are is known by how the arm follows "
+            "several."
+        )
+    joints, point = _columns_of(seen, pick)
+    if not (of_dimension(point, "length") and units_of_joints(seen, seen.robot(pick.arm), joints)):
+        return f"{seen.titles(pick.joints.columns)} or the point have units of another quantity"
+    return f"{columns} have numbers that no arm has, beyond {_LARGEST:g} rad or m"
 
 
 def units_of_joints(seen: Seen, robot: Robot, columns: Sequence[RawColumn]) -> list[tuple[str, str]]:
@@ -232,12 +258,7 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
     if len({point.columns for point in points}) > 1:
         raise _point_question(seen, points)
     if not trials:
-        raise ask(
-            "columns",
-            f"{where}: {seen.titles(picks[0].joints.columns)} or the point have units of another quantity",
-            (),
-            "--column 'NAME [UNIT]=TITLE'",
-        )
+        raise ask("columns", f"{where}: {_why_none(seen, picks[0])}", (), "--column 'NAME [UNIT]=TITLE'")
     pick = trials[0].pick
     if len({(t.pick.joints.columns, t.pick.arm) for t in trials}) > 1:
         raise ask("joints", f"{where}: several columns may be the joints", (), "--column 'JOINT=TITLE' or --tip")

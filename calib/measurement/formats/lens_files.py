@@ -10,7 +10,7 @@ from calib.foundations.csv_text import text_of
 from calib.foundations.errors import JobError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import NUMBER
-from calib.foundations.words import refuse_other
+from calib.foundations.words import refuse_other, shown
 from calib.measurement.formats.yaml_events import read_yaml, written
 from calib.measurement.lens import BENT, RATIONAL, Lens
 
@@ -39,7 +39,7 @@ def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
         if len(focal) != 4:
             raise JobError(f"{path}: intrinsics has {len(focal)} numbers; four are fu, fv, pu, pv.")
         bent = _numbers(path, "distortion_coeffs", cam.get("distortion_coeffs") or [])
-        return Lens(*focal, **_bent(path, bent, BENT[:4])), _size(cam.get("resolution"))
+        return Lens(*focal, **_bent(path, bent, BENT[:4])), _resolution(path, cam.get("resolution"))
     matrix = next((found[key] for key in _MATRIX if key in found), None)
     if matrix is None:
         raise JobError(f"{path}: holds no lens: neither camera_matrix of OpenCV or ROS, nor cam0 of Kalibr.")
@@ -54,7 +54,7 @@ def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
     model = found.get("distortion_model", "plumb_bob")
     refuse_other(model, _MODELS, f"{path}: distortion_model")
     bent = _numbers(path, "the distortion", next((found[key] for key in _BENT if key in found), []))
-    size = _size([found.get("image_width"), found.get("image_height")])
+    size = _size(path, {name: found.get(name) for name in ("image_width", "image_height")})
     names = (*BENT, *RATIONAL)
     return Lens(K[0], K[4], K[2], K[5], **_bent(path, bent, names)), size
 
@@ -96,7 +96,21 @@ def _bent(path: Path, values: list[float], names: tuple[str, ...]) -> dict[str, 
     return dict(zip(names, values, strict=False))
 
 
-def _size(value: Any) -> tuple[int, int] | None:
-    sides = value if isinstance(value, list) and len(value) == 2 else []
-    whole = [int(one) for one in sides if isinstance(one, str) and _WHOLE.fullmatch(one)]
-    return (whole[0], whole[1]) if len(whole) == 2 and min(whole) > 0 else None
+def _resolution(path: Path, value: Any) -> tuple[int, int] | None:
+    if value is None:
+        return None
+    if not isinstance(value, list) or len(value) != 2:
+        raise JobError(f"{path}: resolution is no list of two numbers; these are width and height in pixels.")
+    return _size(path, dict(zip(("the width of resolution", "the height of resolution"), value, strict=True)))
+
+
+def _size(path: Path, sides: Mapping[str, Any]) -> tuple[int, int] | None:
+    """Return the size of images, by what its two sides are called; None where it is not stated."""
+    if None in sides.values():
+        return None
+    for name, value in sides.items():
+        if not isinstance(value, str) or not _WHOLE.fullmatch(value) or int(value) == 0:
+            said = shown(value) if isinstance(value, str) else "no number"
+            raise JobError(f"{path}: {name} is {said}; allowed are whole numbers of pixels from 1.")
+    width, height = (int(value) for value in sides.values())
+    return width, height
