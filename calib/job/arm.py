@@ -15,7 +15,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import NOMINAL_FILE, load_machine, residual_file
 from calib.machine.place import Place
 from calib.machine.run import MODEL_FILE
-from calib.machine.standing import place_of_touched, with_tool_point
+from calib.machine.standing import Pivoted, place_of_touched, with_tool_point
 from calib.machine.touching import TouchingArm
 from calib.measurement.checks import Finding
 from calib.measurement.conditions import refuse_lacking
@@ -35,7 +35,7 @@ class ReadArm(NamedTuple):
 
     ``files``: what it was read from, by the name that the job gives it. ``findings``: doubts about the pivoting.
     ``tool``: the name of the tool, where it is one of the arm's. ``scatter`` (3, 3): the covariance of a tool point
-    that was pivoted, by the noise of its touches, in m^2.
+    that was pivoted, by the noise of its touches, in m^2; ``pivoted``: these.
     """
 
     arm: TouchingArm
@@ -43,6 +43,7 @@ class ReadArm(NamedTuple):
     findings: tuple[Finding, ...] = ()
     tool: str | None = None
     scatter: Array | None = None
+    pivoted: Pivoted | None = None
 
     def place(self, touches: Sequence[tuple[Array, Conditions]]) -> Place | None:
         """Return what the arm's errors do to the place of what it touched; None where they are not known.
@@ -54,7 +55,8 @@ class ReadArm(NamedTuple):
         if self.tool is not None:
             return place_of_touched(self.arm.machine, self.tool, touches)
         scatter = np.zeros((3, 3)) if self.scatter is None else self.scatter
-        return place_of_touched(with_tool_point(self.arm.machine, self.arm.point, scatter), ONLY_TOOL, touches)
+        arm = with_tool_point(self.arm.machine, self.arm.point, scatter, self.pivoted)
+        return place_of_touched(arm, ONLY_TOOL, touches)
 
 
 def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
@@ -114,5 +116,9 @@ def _pivoted(arm: TouchingArm, files: Mapping[str, Path], file: str, folder: Pat
         )
     scatter = found.covariance[:3, :3]
     return ReadArm(
-        replace(arm, point=found.tool_point), {**files, file: folder / file}, tuple(findings), scatter=scatter
+        replace(arm, point=found.tool_point),
+        {**files, file: folder / file},
+        tuple(findings),
+        scatter=scatter,
+        pivoted=Pivoted(touches.readings, touches.conditions, touches.words["target"]),
     )

@@ -11,6 +11,7 @@ off, as by a tool 100 mm longer than stated, what is told of the others is too s
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,6 +49,14 @@ class Moved:
     beside: Array
 
 
+class Pivoted(NamedTuple):
+    """Touches of fixed points that told a tool point: ``readings`` (M, nr), and of each its conditions and target."""
+
+    readings: Array
+    conditions: Conditions
+    targets: tuple[str, ...]
+
+
 def place_of(machine: CalibratedMachine) -> Place:
     """Return how sure it is where a machine stands in the instrument's frame, at its base, in the instrument's axes.
 
@@ -78,10 +87,13 @@ def place_of_touched(machine: CalibratedMachine, tool: str, touches: Sequence[tu
     return apart.turned(machine.base[:3, :3].T)
 
 
-def with_tool_point(machine: CalibratedMachine, point: Array, covariance: Array) -> CalibratedMachine:
+def with_tool_point(
+    machine: CalibratedMachine, point: Array, covariance: Array, pivoted: Pivoted | None = None
+) -> CalibratedMachine:
     """Return the machine with a point (3,) on its tip link as its only tool, of a covariance (3, 3) of its own.
 
-    Raises MeasurementError where the uncertainty is not known.
+    ``pivoted``: the touches that told the point, where some did. Then errors of the machine move the point as well, so
+    that it stays where it touched, as far as it can. Raises MeasurementError where the uncertainty is not known.
     """
     known, start = machine.known_uncertainty, machine.layout.tools
     values, vectors = np.linalg.eigh(covariance)
@@ -90,15 +102,37 @@ def with_tool_point(machine: CalibratedMachine, point: Array, covariance: Array)
     factor, null_basis = (
         np.vstack([part[:start], np.zeros((6, part.shape[1]))]) for part in (known.factor, known.null_basis)
     )
+    tools = {ONLY_TOOL: read_only(rigid.translation(point))}
+    alone = replace(
+        machine,
+        tools=tools,
+        tool_tips={},
+        residual_model=None,
+        uncertainty=replace(known, factor=factor, null_basis=null_basis),
+        in_urdf=None,
+    )
+    if pivoted is not None:
+        factor[start : start + 3], null_basis[start : start + 3] = _followed(alone, pivoted)
     instrument, parameters, left_out = known.causes
-    known = replace(
+    whole = replace(
         known,
         factor=read_only(np.hstack([own, factor])),
         causes=(instrument + 3, parameters, left_out),
         null_basis=read_only(null_basis),
     )
-    tools = {ONLY_TOOL: read_only(rigid.translation(point))}
-    return replace(machine, tools=tools, tool_tips={}, residual_model=None, uncertainty=known, in_urdf=None)
+    return replace(alone, uncertainty=whole)
+
+
+def _followed(machine: CalibratedMachine, of: Pivoted) -> tuple[Array, Array]:
+    """Return how a pivoted tool point (3, r), (3, k) on its link follows errors and null directions of the arm."""
+    moved = link_errors(machine, of.readings, ONLY_TOOL, tool_pose=False, conditions=of.conditions)
+    R = machine.base[:3, :3] @ machine.tips(of.readings, of.conditions)[:, :3, :3]
+    targets = np.unique(of.targets, return_inverse=True)[1]
+    # What moves the point where it touched, less what moves the fixed point, is nothing.
+    fixed = -np.kron(np.eye(int(targets.max()) + 1)[targets], np.eye(3))
+    of_point = -np.linalg.pinv(np.hstack([R.reshape(-1, 3), fixed]))[:3]
+    errors, unseen = (of_point @ part[:, :3].reshape(3 * len(R), -1) for part in moved)
+    return errors, unseen
 
 
 def _links(machine: CalibratedMachine) -> Moved:
@@ -139,9 +173,9 @@ def _turned(motions: Array, T: Array) -> Array:
 def rigid_parts(bodies: Sequence[Moved], origin: Array) -> list[Place]:
     """Return how far each of several bodies moves as one, at ``origin`` (3,), by errors that they have in common.
 
-    ``factor`` (6, r) and ``undetermined`` (6, k) have the same columns for all bodies. Motions in the null space are
-    fitted together with the rigid ones, so that they are no part of them; so are those beside, but what a rigid motion
-    does as well.
+    ``factor`` (6, r) and ``undetermined`` (6, k) have the same columns for all bodies. Motions beside are fitted
+    together with the rigid ones, so that they are no part of them, but what a rigid motion does as well. Errors in the
+    null space are errors like others, as wide as its priors: nobody takes them out of what was touched.
     """
     rigid_motions, errors, unseen, beside, start = [], [], [], [], 0
     size = sum(body.errors.shape[0] * body.errors.shape[1] for body in bodies)
@@ -170,11 +204,11 @@ def rigid_parts(bodies: Sequence[Moved], origin: Array) -> list[Place]:
     _, alike, Zt = svd(Q.T @ B)
     same = np.zeros(B.shape[1], dtype=np.bool_)
     same[: len(alike)] = alike > np.sqrt(1.0 - SAME**2)
-    W = _basis(np.hstack([_basis(N, _MOVES), B @ Zt[~same].T]), _SEEN)
-    P, apart, Zt = svd(Q - W @ (W.T @ Q), full_matrices=False)
-    told = apart > SAME
-    factor = to_twists @ (Zt[told].T / apart[told]) @ (P[:, told].T @ E)
-    open_ = np.hstack([to_twists @ Zt[~told].T, Vt[~kept].T])
+    B = _basis(B @ Zt[~same].T, _SEEN)
+    factor = to_twists @ np.linalg.lstsq(Q - B @ (B.T @ Q), E, rcond=None)[0]
+    W = _basis(np.hstack([_basis(N, _MOVES), B]), _SEEN)
+    _, apart, Zt = svd(Q - W @ (W.T @ Q), full_matrices=False)
+    open_ = np.hstack([to_twists @ Zt[apart <= SAME].T, Vt[~kept].T])
     return [
         Place(read_only(factor[rows]), read_only(open_[rows]), np.inf)
         for rows in (slice(6 * k, 6 * k + 6) for k in range(len(bodies)))
