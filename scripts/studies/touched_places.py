@@ -196,7 +196,8 @@ def simulated(kind: Kind, rng: Rng, folder: Path) -> dict[str, Any]:
         inputs = load(folder / f"{job}.toml")
         found = calib.machine_of(calib.identify(inputs.model, inputs.identify, losses=inputs.losses))
         (folder / job).mkdir()
-        for file, text in machine_files(replace(found, placed=inputs.placed)).items():
+        assert inputs.bases is not None, "its tables show where the base is"
+        for file, text in machine_files(replace(found, placed=inputs.bases.placed())).items():
             (folder / job / file).write_bytes(text if isinstance(text, bytes) else text.encode())
     cell = calibrated_cell(folder / "first", folder / "second")
     return compared(first, second, folder, cell.place)
@@ -290,13 +291,13 @@ def compared(first: Machine, second: Machine, folder: Path, place: Place | None)
     of_second = shift(two, one.base, second)
     off = of_second - standing.at(of_first, at_base[:3, 3] - one.base[:3, 3])
     off = standing.turned(off, R.T)
-    across = np.eye(6) - place.open @ place.open.T
+    across = np.eye(6) - place.undetermined_basis @ place.undetermined_basis.T
     left = across @ off
     return {
         "inside": place.inside(off),
         "left": [float(np.linalg.norm(left[:3])), float(np.linalg.norm(left[3:]))],
         "sigmas": place.sigmas,
-        "open": place.open.shape[1],
+        "open": place.undetermined_basis.shape[1],
     }
 
 

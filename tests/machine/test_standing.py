@@ -247,9 +247,9 @@ def test_two_unseen_heights_that_lean_leave_the_place_unsure_across(
     known, height = machine.known_uncertainty, machine.layout.tools + 2
     width, lean = float(np.linalg.norm(known.factor[height])), 5e-3
     upright = place_of(machine).turned(machine.base[:3, :3].T)
-    assert np.linalg.norm(upright.open.T @ upright.factor) == pytest.approx(width, rel=1e-2)
+    assert np.linalg.norm(upright.undetermined_basis.T @ upright.factor) == pytest.approx(width, rel=1e-2)
     both = upright.beside(upright.turned(Rotation.from_rotvec([lean, 0.0, 0.0]).as_matrix()))
-    assert both.open.shape[1] == 1
+    assert both.undetermined_basis.shape[1] == 1
     assert both.sigmas[0] == pytest.approx(width * lean / np.sqrt(2.0), rel=0.1)
 
 
