@@ -34,6 +34,8 @@ _MOST_SPLITS = 60
 _GAP = 2.5
 # Rows on either side of a jump.
 _LEAST_ROWS = 3
+# What drifts where an arm warms up.
+LENGTHS = "length of the arm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,28 +244,52 @@ def score_test(A: Array, S: Array, g: Array, C: Array) -> Score:
     )
 
 
-def wandering(parts: Sequence[Stretch], C: Array) -> tuple[float, float]:
-    """Return how far (rms over the rows, in m) the base seems to have wandered in order of the rows, and its chance.
+class Drift(NamedTuple):
+    """How far ``what`` seems to move the tool in the course of a ``file``: ``size``, rms over its rows, in m.
 
-    Up to the third order. 0 and 1 where rows are too few, or do not show it.
+    ``scatter``: the standard deviation of what remains of one number without it, in m. ``gain``: by how much, in
+    chi-squared, the rows fit better than with as many numbers of chance. ``chance``: of it.
     """
-    best = (0.0, 1.0)
-    for part in parts:
-        n = len(part.r)
-        if n < 4 * _LEAST_BLOCKS or part.data.position is None:
-            continue
-        t = np.linspace(-1.0, 1.0, n)
-        shapes = np.stack([t, 1.5 * t**2 - 0.5, 2.5 * t**3 - 1.5 * t], axis=1)
-        D = np.einsum("ndk,ns->ndks", part.by_base, shapes).reshape(part.r.size, -1)
-        J = part.J.reshape(part.r.size, -1)
-        S = D.T @ J
-        found = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
-        shift = ((D - J @ (C @ S.T)) @ found.sizes).reshape(part.r.shape)
-        chance = _chance(found, part.r + shift, part)
-        size = float(np.sqrt(np.mean(np.sum(shift**2, axis=1)))) / per_metre([part])
-        if size > best[0]:
-            best = (size, chance)
-    return best
+
+    what: str
+    file: str
+    size: float
+    scatter: float
+    gain: float
+    chance: float
+
+
+def drifts(parts: Sequence[Stretch], C: Array) -> tuple[Drift, ...]:
+    """Return what seems to wander in order of the rows: base, tool, a joint, or the arm's lengths; the likeliest first.
+
+    Up to the third order. None of sets whose rows are too few.
+    """
+    things = [*_things(parts), (LENGTHS, [part.by_growth[:, :, None] for part in parts])] if parts else []
+    found = []
+    for what, motions in things:
+        within, own = _besides(parts, motions, C)
+        told = (_drift_of(what, part, Z, own, len(things)) for part, Z in zip(within, motions, strict=True))
+        found += [drift for drift in told if drift is not None]
+    return tuple(sorted(found, key=lambda drift: (-drift.gain, drift.what)))
+
+
+def _drift_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Drift | None:
+    n = len(part.r)
+    if n < 4 * _LEAST_BLOCKS or part.data.position is None or not Z.any():
+        return None
+    t = np.linspace(-1.0, 1.0, n)
+    shapes = np.stack([t, 1.5 * t**2 - 0.5, 2.5 * t**3 - 1.5 * t], axis=1)
+    D = np.einsum("ndk,ns->ndks", Z, shapes).reshape(part.r.size, -1)
+    J = part.J.reshape(part.r.size, -1)
+    S = D.T @ J
+    score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
+    shift = ((D - J @ (C @ S.T)) @ score.sizes).reshape(part.r.shape)
+    rest = part.r + shift
+    chance = min(1.0, things * _chance(score, rest, part))
+    variance = _scatter(rest, part, int(score.numbers))
+    size, scatter = np.sqrt((np.mean(np.sum(shift**2, axis=1)), variance)) / per_metre([part])
+    gain = float(score.gain) / variance - int(score.numbers)
+    return Drift(what, part.data.where, float(size), float(scatter), gain, chance)
 
 
 class Rounding(NamedTuple):
@@ -367,15 +393,22 @@ def _chance(found: Score, rest: Array, part: Stretch) -> float:
 
 def steps(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     """Return the likeliest change of base, tool and every joint in the course of every set, the largest size first."""
-    things = [("base", [part.by_base for part in parts]), ("tool", [part.by_tool for part in parts])]
-    joints = parts[0].joints if parts else ()
-    things += [(name, [part.by_joint[:, :, j : j + 1] for part in parts]) for j, name in enumerate(joints)]
+    things = _things(parts) if parts else []
     found = []
-    for what, motions in things if parts else ():
+    for what, motions in things:
         within, own = _besides(parts, motions, C)
         told = (_step_of(what, part, Z, own, len(things)) for part, Z in zip(within, motions, strict=True))
         found += [step for step in told if step is not None]
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
+
+
+def _things(parts: Sequence[Stretch]) -> list[tuple[str, list[Array]]]:
+    """Return what may move, with what its motions do to every part (n, d, k)."""
+    return [
+        ("base", [part.by_base for part in parts]),
+        ("tool", [part.by_tool for part in parts]),
+        *((name, [part.by_joint[:, :, j : j + 1] for part in parts]) for j, name in enumerate(parts[0].joints)),
+    ]
 
 
 def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:

@@ -29,7 +29,8 @@ class Stretch:
     Of photographs that err together all is less what rows have in common: an arm that does not come back is no other.
     ``columns`` (k,): the fit's parameters by which J is, by number.
     ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
-    motion of the base and of the tool, in m and rad. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
+    motion of the base and of the tool, in m and rad; ``by_growth`` (n, d): all lengths longer by their whole, of
+    positions alone. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
     change from row to row, or in a second where ``step``, the time in s between rows, is known; else that is nan.
     ``followers`` (f): joints that follow a reading of another by a coupling or as mimic joints, and that reading;
     ``by_follower`` (n, d, f): a turn (shift) of each, ``followed`` (n, f): by how much it follows.
@@ -45,6 +46,7 @@ class Stretch:
     by_joint: Array
     by_base: Array
     by_tool: Array
+    by_growth: Array
     values: Array
     rates: Array
     followers: tuple[tuple[str, str], ...]
@@ -96,9 +98,11 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
         mine = replace(residue.problem, measurements=(part,), parameters=judged)
         blocks = list(mine.rates(fit.machine, scales(judged)).blocks(part))
         J = less(np.concatenate([b.J for b in blocks]) / sigma * w)
-        r = less(np.concatenate([b.observed.residual for b in blocks])[:, :, None] / sigma * w)[:, :, 0]
+        left = np.concatenate([b.observed.residual for b in blocks])
+        r = less(left[:, :, None] / sigma * w)[:, :, 0]
         tool = W[:, :, kinds == "tool"].reshape(*W.shape[:2], -1, 6).sum(axis=2)
         by_offset = W[:, :, kinds == "offset"]
+        by_base = W[:, :, kinds == "base"].reshape(*W.shape[:2], -1, 6).sum(axis=2)
         rates, step = _rates(data, fit.machine.frames.scalars)
         found.append(
             Stretch(
@@ -107,8 +111,9 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 residue.judged,
                 tuple(names[k] for k in own),
                 by_offset[:, :, own],
-                W[:, :, kinds == "base"].reshape(*W.shape[:2], -1, 6).sum(axis=2),
+                by_base,
                 tool,
+                _by_growth(part, left, by_base, fit.machine.frames.bases),
                 part.readings[:, column],
                 rates[rows][:, column],
                 tuple((names[k], readings[i]) for k, i in ties),
@@ -144,6 +149,7 @@ def by_photograph(part: Stretch) -> Stretch:
         by_follower=together.by_photograph(part.by_follower),
         by_base=together.by_photograph(part.by_base),
         by_tool=together.by_photograph(part.by_tool),
+        by_growth=together.by_photograph(part.by_growth[:, :, None])[:, :, 0],
         values=part.values[first],
         followed=part.followed[first],
         rates=part.rates[first],
@@ -186,6 +192,7 @@ def as_means(part: Stretch, number: IntArray) -> Stretch:
         by_follower=as_one(part.by_follower),
         by_base=as_one(part.by_base),
         by_tool=as_one(part.by_tool),
+        by_growth=as_one(part.by_growth),
         values=mean(part.values),
         followed=mean(part.followed),
         rates=mean(part.rates),
@@ -205,6 +212,17 @@ def _rates(data: Measurements, scalars: Array) -> tuple[Array, float]:
         if np.all(steps > 0.0) and np.median(steps) <= _STREAM:
             return np.asarray(np.gradient(data.readings, data.times, axis=0)), float(np.median(steps))
     return np.asarray(np.gradient(data.readings, axis=0)), float("nan")
+
+
+def _by_growth(data: Measurements, residual: Array, by_base: Array, bases: Array) -> Array:
+    """Return what it does to positions if the tool is farther from the base by all of their distance (n, d).
+
+    Where the fit has it: with what was measured, every residual would be a part of it.
+    """
+    if data.position is None:
+        return np.zeros(by_base.shape[:2])
+    arm = data.position - residual[:, :3] - bases[data.setup, :3, 3]
+    return np.asarray(np.einsum("ndk,nk->nd", by_base[:, :, :3], arm))
 
 
 def _as_it_is(rows: Array) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.checks.shown_range import shown_range
-from calib.assessment.effects import apart, delay, gains, ratios, rounding, steps, strains, timing, wandering
+from calib.assessment.effects import apart, delay, drifts, gains, ratios, rounding, steps, strains, timing
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.mixed_machines import mixed_machines
@@ -58,7 +58,7 @@ def verdict(
         poses = tuple(pose_by_pose(part, C) for part in parts)
         by_row = (
             of_rows.jump(steps(poses, C), found),
-            of_rows.drift(wandering(poses, C), fit),
+            of_rows.drift(drifts(poses, C), fit),
             of_rows.late(*delay(poses, C)),
             of_rows.timing(timing(poses, C)),
             of_rows.gear(gains(poses, C), ratios(poses, C), fit),

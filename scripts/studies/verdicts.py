@@ -41,16 +41,16 @@ sessions the thresholds were set; in the bad ones something is wrong. The page i
 `python scripts/studies/verdicts.py`; the sessions are described in `scripts/studies/verdict_sessions.py` and
 `verdict_moving.py`.
 
-How the thresholds were chosen: what counts as sound was written down before it was judged, except for dense paths. Some
-of the first dense paths stayed in so narrow a region that the calibration improved little on held-out rows, and the
-verdict said that no improvement was shown. Paths now go several times through 0.7 rad in every joint. Three thresholds
-were changed after bad sessions had been judged: "redundancy" to less than half of the worst of the sound sessions,
-"explained" to what poor arms need, a twentieth of what random numbers leave, and "lengths" from 4 to 1.5 %, as an
-instrument whose scale was off by 2 % was trusted. Checks were made for sessions that
-had been trusted: "one machine" after the first ten later situations, and its search for three and four machines, "axes"
-and "resolution" after the ten that followed, "timing" after those of streams. The limits of size of "axes", of
-"resolution" and of the search for more machines were chosen by judgement; no sound session and no poor arm reaches
-them.
+How the thresholds were chosen: what counts as sound was written down before it was judged, except for dense paths.
+Some of the first dense paths stayed in so narrow a region that the calibration improved little on held-out rows, and
+the verdict said that no improvement was shown. Paths now go several times through 0.7 rad in every joint. Three
+thresholds were changed after bad sessions had been judged: "redundancy" to less than half of the worst of the sound
+sessions, "explained" to what poor arms need, a twentieth of what random numbers leave, and "lengths" from 4 to 1.5 %,
+as an instrument whose scale was off by 2 % was trusted. Checks were made for sessions that had been trusted: "one
+machine" after the first ten later situations, and its search for three and four machines, "axes" and "resolution"
+after the ten that followed, "timing" after those of streams, and "drift" looks for joints, the tool and the arm's
+length since an arm that warmed up was trusted. The limits of size of "axes", of "resolution" and of the search for
+more machines were chosen by judgement; no sound session and no poor arm reaches them.
 
 A session may be trusted although something is wrong with it, if what is stated of it is right all the same. For every
 such session 200 new poses are drawn. Their true tool points are compared with the predicted ones, and the session
@@ -63,9 +63,9 @@ TAIL = """## What it cannot find
 An error that is the same in all rows, also in the held-out ones, shows in no row. Errors that come and go from row to
 row in many ways, or in few of the rows, look like a worse instrument or a worse arm, and so does a base that leans: a
 model that lacks something leaves residuals, and regions and errors of held-out rows are then as large as they really
-are. If no sigma is stated, the verdict cannot tell the difference. State the instrument's sigma. About forty positions
-are needed to split rows between machines. An arm that grows steadily while it is measured moves the tool by no more
-than a sound instrument drifts; it is trusted, and its regions are too small.
+are. If no sigma is stated, the verdict cannot tell the difference. State the instrument's sigma. About forty
+positions are needed to split rows between machines. An arm that grows while it is measured is found where that moves
+the tool by more than the residuals scatter, and where the rows are in the order in which they were measured.
 """
 
 
@@ -153,7 +153,8 @@ def page(lines: Sequence[dict[str, Any]], before: str) -> str:
         (
             "again",
             "The same once more",
-            'After the check "timing" was made for streams, whose threshold comes from the sound sessions in motion.',
+            'After the check "timing" was made for streams, whose threshold comes from the sound sessions in motion, '
+            'and "drift" for arms that warm up.',
         ),
     ):
         own = [line for line in lines if line["set"] == name]

@@ -9,17 +9,18 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.effects import (
+    LENGTHS,
     Step,
     Timing,
     apart,
     delay,
+    drifts,
     gains,
     ratios,
     rounding,
     steps,
     strains,
     timing,
-    wandering,
 )
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
@@ -341,7 +342,7 @@ def test_sound_rows_show_no_effect(cell: Cell) -> None:
         assert not abs(late.value) > 5.0 * late.sigma
         assert all(not abs(gain.t) > 6.0 for gain in gains(parts, C).values())
         assert all(step.size < of_rows.SIZE for step in steps(parts, C))
-        assert wandering(parts, C)[0] < 1e-4
+        assert all(drift.size < 1e-4 for drift in drifts(parts, C))
 
 
 def test_axes_of_an_instrument_that_are_not_equal(cell: Cell) -> None:
@@ -401,10 +402,59 @@ def test_rounded_readings_count_where_they_are_what_remains(cell: Cell) -> None:
 def test_a_base_that_wanders_by_centimetres(cell: Cell) -> None:
     data = cell.measured(cell.draw(60))
     drift = np.linspace(0.0, 0.03, 60)[:, None] * np.array([1.0, 0.0, 0.0])
-    parts, C = cell.effects(replace(data, position=data.position + drift))
-    size, chance = wandering(parts, C)
-    assert 3e-3 < size < 2e-2
-    assert chance < 1e-10
+    worst = drifts(*cell.effects(replace(data, position=data.position + drift)))[0]
+    assert worst.what == "base"
+    assert 3e-3 < worst.size < 2e-2
+    assert worst.chance < 1e-10
+
+
+def _warmer(cell: Cell, q: Array) -> Array:
+    """What is measured of an arm that grows by 1 mm in a metre, with its tool."""
+    seen = cell.measured(q).position
+    return np.asarray(seen + np.linspace(0.0, 1e-3, len(q))[:, None] * (seen - cell.machine.base[:3, 3]))
+
+
+def _slipping(cell: Cell, q: Array) -> Array:
+    """What is measured of an arm whose third zero moves by 2 mrad."""
+    moved = q + np.linspace(0.0, 2e-3, len(q))[:, None] * np.eye(6)[2]
+    return np.asarray(cell.measured(moved).position)
+
+
+def _loosening(cell: Cell, q: Array) -> Array:
+    """What is measured of a tool that moves by 1 mm in its own frame."""
+    shift = np.linspace(0.0, 1e-3, len(q))[:, None] * np.array([0.6, 0.0, 0.8])
+    return np.asarray(cell.measured(q).position + np.einsum("nij,nj->ni", cell.machine.see(q)[:, :3, :3], shift))
+
+
+@pytest.mark.parametrize(
+    ("seen", "what", "cause"),
+    [
+        (_warmer, LENGTHS, "let it warm up before it is measured"),
+        (_slipping, "elbow_joint", "the joint or its encoder moved"),
+        (_loosening, "tool", "the tool, or what it carries, moved"),
+    ],
+)
+def test_what_drifts_by_a_millimetre_is_named(seen, what: str, cause: str) -> None:
+    cell = Cell(5)
+    q = cell.draw(60)
+    data = replace(cell.measured(q), position=seen(cell, q))
+    fit = calib.identify(cell.model, data)
+    check = of_rows.drift(drifts(*cell.effects(data)), fit)
+    assert not check.passed
+    assert what in check.sentence
+    assert check.sentence.endswith(f"{cause}.")
+
+
+def test_a_poor_arm_that_goes_along_a_joint_does_not_drift() -> None:
+    """Its gears wobble by 10 mrad, with the order of the rows, far more than the instrument errs."""
+    cell = Cell(6)
+    q = cell.draw(100)
+    for k in range(3):
+        read = q[np.argsort(q[:, k])]
+        data = cell.measured(read + 0.01 * np.cos(2.0 * read + np.arange(6)), read)
+        told = drifts(*cell.effects(data))
+        assert any(drift.chance < of_rows.RARELY for drift in told)
+        assert of_rows.drift(told, calib.identify(cell.model, data)).passed
 
 
 @pytest.mark.parametrize(("poses", "passed"), [(11, False), (20, True)])

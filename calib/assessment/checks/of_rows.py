@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from calib.assessment.checks.of_fit import OF_REACH, ROUNDING
-from calib.assessment.effects import Effect, Rounding, Step, Strain, Timing
+from calib.assessment.effects import LENGTHS, Drift, Effect, Rounding, Step, Strain, Timing
 from calib.assessment.judged import NOTHING, Check, JudgedSet
 from calib.assessment.metrics import error_norms
 from calib.assessment.mixed_machines import MixedMachines
@@ -19,8 +19,14 @@ from calib.measurement.poses import ONE_POSE
 
 # The chance below which an effect is no accident, and its least size in scatters of the residuals.
 RARELY, SIZE = 1e-4, 3.0
-# The base may drift by this share of the reach.
-WANDERED = 5e-4
+# By this share of the reach the base may drift; so much longer is an arm that is a degree or two warmer.
+WANDERED, WARMER = 5e-4, 2e-5
+# Scatters of the residuals by which anything may drift, and lengths: where rows go along a joint, the gear of a poor
+# arm wobbles with them, by up to 1.4 as a drift of joints or the base, and by less than 1 as one of lengths.
+DRIFTED = (2.0, 1.0)
+# What moved, where that drifts.
+_MOVED = {"base": "the instrument or the robot", "tool": "the tool, or what it carries,"}
+_SLIPPED = "the joint or its encoder"
 # Rows between measurements and readings; the share by which a joint moves more; standard errors and least size of both.
 LATE, GEAR, SURE, SEEN = 0.2, 0.01, 6.0, 1.0
 # Of 27 sound sessions with times the largest was 0.17.
@@ -65,17 +71,32 @@ def jump(found: Sequence[Step], outliers: Outliers) -> Check:
 
 
 def _thing(what: str) -> str:
-    return what if what in ("base", "tool") else f"offset of {what!r}"
+    return what if what in ("base", "tool", LENGTHS) else f"offset of {what!r}"
 
 
-def drift(wandered: tuple[float, float], fit: Fit) -> Check:
-    """Whether the base wandered in the course of the rows."""
-    size, chance = wandered
-    limit = WANDERED * fit.model.robot.reach
-    if chance >= RARELY:
-        return Check.idle("drift", limit, "No drift of the base over the rows is seen.")
-    said = f"Over the rows the base drifts by {size / MM:.2g} mm"
-    return Check.judged("drift", size, limit, said, ": the instrument or the robot moved.")
+def drift(found: Sequence[Drift], fit: Fit) -> Check:
+    """Whether base, tool, a joint or the lengths of the arm wandered in the course of the rows.
+
+    A base may, by some of its instrument's noise; what an arm is now, its calibration is to say.
+    """
+    reach = fit.model.robot.reach
+    limits = [
+        max((WANDERED if one.what == "base" else WARMER) * reach, DRIFTED[one.what == LENGTHS] * one.scatter)
+        for one in found
+    ]
+    told = [(one, limit) for one, limit in zip(found, limits, strict=True) if one.chance < RARELY]
+    if not told:
+        return Check.idle("drift", WANDERED * reach, "Nothing seems to drift over the rows.")
+    # What drifts moves others as well, in part: of those that move far, the likeliest is named.
+    far = [(one, limit) for one, limit in told if one.size > limit]
+    worst, limit = (
+        max(far, key=lambda each: each[0].gain) if far else max(told, key=lambda each: each[0].size / each[1])
+    )
+    why = (
+        "let it warm up before it is measured" if worst.what == LENGTHS else f"{_MOVED.get(worst.what, _SLIPPED)} moved"
+    )
+    said = f"{worst.file}: over the rows the {_thing(worst.what)} seems to drift, which moves the tool by"
+    return Check.judged("drift", worst.size, limit, f"{said} {worst.size / MM:.2g} mm", f": {why}.")
 
 
 def late(found: Effect, step: float = NOTHING) -> Check:
