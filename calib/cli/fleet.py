@@ -29,18 +29,14 @@ def fleet(
     same command continues. Exit codes: 0 good, 1 a job failed, 2 wrong usage, 3 a job is not to be trusted.
     """
     with loading():
-        import logging
-
         from calib.foundations.folders import made_folder
-        from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, run_fleet
+        from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, quieten_dask, run_fleet
         from calib.job.fleet_summary import fleet_lines, summary, write_summary
         from calib.presentation.console import show_error, warning
         from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
     chosen = fleet_jobs(jobs, out)
     if dask is not None:
-        # Of a lost scheduler, and of Ctrl-C while it waits, it tells by tracebacks, and a sentence follows.
-        for name in ("distributed", "tornado.application"):
-            logging.getLogger(name).setLevel(logging.CRITICAL)
+        quieten_dask()
     try:
         with made_folder(out):
             with telling.progress(len(chosen), alike=True) as say:

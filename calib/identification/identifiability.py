@@ -353,7 +353,10 @@ def null_directions(
 
 def _direction(direction: Array, own: int, parameters: Sequence[Parameter]) -> NullDirection:
     """Return a direction (p,), scaled, as one that a person can read: what parameter ``own`` does, others imitate."""
-    told = np.abs(direction) > _TOLD_SHARE * np.max(np.abs(direction))
+    # Beside a wide prior's standard deviation a millimetre is small, and all the same it is what imitates.
+    sizes = np.abs(direction) * np.array([[1.0] * len(parameters), [p.scale / p.typical_size for p in parameters]])
+    told = np.any(sizes > _TOLD_SHARE * np.max(sizes, axis=1, keepdims=True), axis=0)
+    told[own] = True
     order = sorted(map(int, np.flatnonzero(told)), key=lambda k: (k != own, -abs(direction[k]), k))
     # The imitation carries the opposite sign: moving the one is undone by moving the others.
     shares = {parameters[k].name: float(direction[k] * parameters[k].scale) * (1 if k == own else -1) for k in order}

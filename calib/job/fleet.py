@@ -1,6 +1,7 @@
 """Many jobs over many processes, here or on a Dask cluster: each as if it ran alone, and none in the way of another."""
 
 import asyncio
+import logging
 import os
 import re
 import signal
@@ -36,6 +37,7 @@ _LOOK = 1.0
 # As a shell has it.
 _BY_SIGNAL = 128
 _DIED = "{}: its process died; the memory may not suffice."
+_GONE = "{}: the Dask scheduler is gone; what is finished is kept."
 # A job that is called so, as those in robots/ are, says nothing of its arm; its folder does.
 _USUAL = re.compile(r"calibration(?![^_.-])")
 SUMMARY_JSON = "summary.json"
@@ -293,6 +295,17 @@ def _ending_quietly() -> Iterator[None]:
         threading.excepthook = before
 
 
+def quieten_dask() -> None:
+    """Let Dask say nothing in this process: of a lost scheduler, and of Ctrl-C meanwhile, it tells by tracebacks.
+
+    For commands, which tell by a sentence. Dask is loaded first, as it then sets levels of its own.
+    """
+    with suppress(ImportError):  # that it is not there is told later
+        import distributed  # noqa: F401, PLC0415 - an optional dependency
+    for name in ("distributed", "distributed.client", "tornado.application"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
 @contextmanager
 def _cluster(address: str, jobs: Sequence[FleetJob]) -> Iterator[Iterable[Done]]:
     """Run jobs over the workers of a Dask cluster, as :func:`_local`."""
@@ -337,10 +350,12 @@ def _on_cluster(client: Any, address: str, jobs: Sequence[FleetJob]) -> Generato
             # Futures are cancelled when the connection to the scheduler is lost; their status says so too.
             with suppress(TimeoutError, CancelledError), client.as_current():
                 wait(list(waiting), timeout=_LOOK, return_when="FIRST_COMPLETED")
-            for future in [future for future in waiting if future.status != "pending"]:
-                yield _ended(future, waiting.pop(future), address)
+            for future, job in list(waiting.items()):
+                if (done := _ended(future, job, address)) is not None:
+                    del waiting[future]
+                    yield done
             if client.status != "running":
-                raise JobError(f"{address}: the Dask scheduler is gone; what is finished is kept.")
+                raise JobError(_GONE.format(address))
             if _has_workers(client, address):
                 last_seen = time.monotonic()
             elif time.monotonic() - last_seen > _PATIENCE:
@@ -354,22 +369,33 @@ def _has_workers(client: Any, address: str) -> bool:
     try:
         return bool(client.sync(client.scheduler.identity, callback_timeout=_PATIENCE)["workers"])
     except OSError as e:  # also what times out
-        raise JobError(f"{address}: the Dask scheduler is gone; what is finished is kept.") from e
+        raise JobError(_GONE.format(address)) from e
 
 
-def _ended(future: Any, job: FleetJob, address: str) -> Done:
-    """Return what has become of a job whose future is not pending any more."""
-    if future.status == "finished":
-        done: Done = future.result(timeout=_PATIENCE)
-        return done
-    if future.status == "error":
-        from distributed import KilledWorker  # noqa: PLC0415 - an optional dependency
+def _ended(future: Any, job: FleetJob, address: str) -> Done | None:
+    """Return what has become of a job, or None where that is still to come.
 
-        error = future.exception(timeout=_PATIENCE)
-        if isinstance(error, KilledWorker):
-            return Done(job, _DIED.format(job.path))
-        return Done(job, f"{job.path}: cannot run on a worker of the cluster ({type(error).__name__}: {error}).")
-    raise JobError(f"{address}: the Dask scheduler is gone; what is finished is kept.")
+    What has come of it is with its worker: when that one goes before it is asked, the job runs once more.
+    """
+    from distributed import CancelledError, KilledWorker  # noqa: PLC0415 - an optional dependency
+
+    status = future.status
+    if status in ("pending", "lost"):
+        return None
+    try:
+        if status == "finished":
+            done: Done = future.result(timeout=_PATIENCE)
+            return done
+        if status == "error":
+            error = future.exception(timeout=_PATIENCE)
+            if isinstance(error, KilledWorker):
+                return Done(job, _DIED.format(job.path))
+            return Done(job, f"{job.path}: cannot run on a worker of the cluster ({type(error).__name__}: {error}).")
+    except TimeoutError:
+        return None
+    except (OSError, CancelledError) as e:
+        raise JobError(_GONE.format(address)) from e
+    raise JobError(_GONE.format(address))
 
 
 @contextmanager

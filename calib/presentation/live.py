@@ -73,7 +73,7 @@ async def _run(
             except OutputError:  # a page that older results have not, or that is a link or no file
                 self.send_error(404)
 
-    class Live(WebSocketHandler):
+    class Live(Guarded, WebSocketHandler):
         def prepare(self) -> None:
             try:
                 urlsplit(self.request.headers.get("Origin", ""))

@@ -54,13 +54,20 @@ class Guarded(RequestHandler):
             super().log_exception(typ, value, tb)
 
 
+class _Unknown(Guarded):
+    """Answers what leads nowhere, or comes by another name: tornado's own handler shows such requests."""
+
+    def prepare(self) -> None:
+        self.send_error(404)
+
+
 @contextlib.asynccontextmanager
 async def listening(routes: Sequence[Any], port: int, **settings: Any) -> AsyncIterator[str]:
     """Serve tornado's ``routes`` while the block runs, and give the address. ``port`` 0: any free one.
 
     Raises OutputError where the port cannot be had.
     """
-    app = Application(log_function=lambda _: None, **settings)
+    app = Application(log_function=lambda _: None, default_handler_class=_Unknown, **settings)
     app.add_handlers(_OURSELVES, list(routes))
     server = HTTPServer(app, max_body_size=_LARGEST_BODY)
     with sentences(f"port {port}", OutputError, "cannot be listened on"):

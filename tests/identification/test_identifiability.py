@@ -1,5 +1,7 @@
 """Rank, directions of the null space, and the three policies for them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import null_space
@@ -245,3 +247,17 @@ def test_a_null_direction_is_told_with_the_sign_of_the_imitation(robot: calib.Ro
     (told,) = null_directions(basis / np.linalg.norm(basis), found, kept)
     assert str(told) == "+1 mm of elbow_joint.tx cannot be told from +2 mm of base.x, -0.5 mrad of base.rz."
     assert told.shares == pytest.approx({"elbow_joint.tx": 1e-3, "base.x": 2e-3, "base.rz": -0.5e-3})
+
+
+def test_what_has_a_wide_prior_imitates_by_millimetres_all_the_same(robot: calib.Robot) -> None:
+    """Of its prior's standard deviation, half a metre, they are some thousandths."""
+    wide = [replace(p, prior=0.5) if p.name == "base.x" else p for p in parameters(robot)]
+    number = {p.name: k for k, p in enumerate(wide)}
+    basis = np.zeros((len(wide), 1))
+    basis[[number["elbow_joint.tx"], number["base.x"]], 0] = 1.0, -4e-3
+    for own, says in (
+        ("elbow_joint.tx", "+1 mm of elbow_joint.tx cannot be told from +2 mm of base.x."),
+        ("base.x", "+500 mm of base.x cannot be told from +250 mm of elbow_joint.tx."),
+    ):
+        (told,) = null_directions(basis, wide, [k for k in range(len(wide)) if k != number[own]])
+        assert str(told) == says

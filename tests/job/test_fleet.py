@@ -13,7 +13,9 @@ import sys
 import threading
 import time
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import joblib
@@ -419,6 +421,65 @@ def test_a_scheduler_that_dies_in_the_middle_is_said(folder: Path) -> None:
             process.kill()
             process.wait()
     assert sum(map(unchanged, chosen)) >= 1
+
+
+class Told:
+    """A job on a cluster as its client sees it, one look after the other; errors are raised when it is asked."""
+
+    key = "calib-0-plain"
+
+    def __init__(self, *looks: tuple[str, object]) -> None:
+        self.looks = list(looks)
+
+    @property
+    def status(self) -> str:
+        return self.looks[0][0]
+
+    def result(self, timeout: float) -> object:
+        found = self.looks.pop(0)[1]
+        if isinstance(found, BaseException):
+            raise found
+        return found
+
+
+def test_what_a_worker_had_found_is_lost_with_it_and_found_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A worker may go, and the scheduler too, in the moment between the end of a job and the asking for it."""
+    distributed = pytest.importorskip("distributed")
+    (job,) = fleet_jobs([Path("jobs/plain.toml")], folder / "all")
+    done = Done(job)
+
+    def looked(told: Told) -> list[Done]:
+        def look(*_: object, **__: object) -> None:
+            if told.status == "lost":
+                told.looks.pop(0)
+
+        monkeypatch.setattr(distributed, "wait", look)
+        client = SimpleNamespace(
+            submit=lambda *_, **__: told,
+            as_current=nullcontext,
+            status="running",
+            scheduler=SimpleNamespace(identity=None),
+            sync=lambda *_, **__: {"workers": {"one": {}}},
+            cancel=lambda _: None,
+        )
+        return list(fleets._on_cluster(client, "tcp://here", [job]))
+
+    asleep = TimeoutError()  # its worker does not answer
+    assert looked(Told(("finished", asleep), ("lost", None), ("lost", None), ("finished", done))) == [done]
+    for gone in (distributed.comm.core.CommClosedError("Stream is closed"), distributed.CancelledError("plain")):
+        with pytest.raises(JobError, match="tcp://here: the Dask scheduler is gone; what is finished is kept"):
+            looked(Told(("finished", gone)))
+
+
+def test_dask_says_nothing_where_a_sentence_follows() -> None:
+    """It sets levels of its own when it is loaded, which is after the command has begun."""
+    pytest.importorskip("distributed")
+    code = (
+        "import logging; from calib.job.fleet import quieten_dask; quieten_dask(); import distributed; "
+        "[logging.getLogger(f'distributed{n}').error('a traceback') for n in ('', '.client', '.core', '.comm.tcp')]"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (said.stdout, said.stderr) == ("", "")
 
 
 def test_a_scheduler_that_is_stopped_is_not_waited_for(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ import io
 import json
 import os
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -366,18 +367,44 @@ COMPUTED = {
 }
 
 
+NO_KIND = {
+    "a topic whose name or type is no text": (
+        "UPDATE topics SET name = x'ff' WHERE id = 1",
+        "UPDATE topics SET type = x'ff' WHERE id = 1",
+        "CREATE TABLE other AS SELECT id, 5 AS name, type, serialization_format, offered_qos_profiles, "
+        "type_description_hash FROM topics; DROP TABLE topics; ALTER TABLE other RENAME TO topics",
+    ),
+    "a message whose time is no whole number": (
+        "UPDATE messages SET timestamp = 9e999 WHERE topic_id = 1",
+        "UPDATE messages SET timestamp = 1.5 WHERE topic_id = 1",
+    ),
+}
+
+
+def commanded(folder: Path, commands: str) -> Path:
+    """The database of a recording after some commands."""
+    import sqlite3
+
+    file = next(recording(folder, "ros2").glob("*.db3"))
+    database = sqlite3.connect(file)
+    database.executescript(commands)
+    database.close()
+    return file
+
+
+@pytest.mark.parametrize(("commands", "says"), [(one, says) for says, every in NO_KIND.items() for one in every])
+def test_databases_with_values_of_another_kind_are_refused(commands: str, says: str, tmp_path: Path) -> None:
+    file = commanded(tmp_path, commands)
+    for read in (topics, partial(read_topic, name="/joint_states")):
+        with pytest.raises(MeasurementError, match=f"{file.name}: has {says}"):
+            read(file)
+
+
 @pytest.mark.parametrize("said", COMPUTED)
 @pytest.mark.parametrize("inside", [True, False])
 def test_databases_that_compute_what_is_read_are_refused(said: str, inside: bool, tmp_path: Path) -> None:
-    import sqlite3
-
-    path = recording(tmp_path, "ros2")
-    file = next(path.glob("*.db3"))
-    database = sqlite3.connect(file)
-    for command in COMPUTED[said]:
-        database.execute(command)
-    database.commit()
-    database.close()
+    file = commanded(tmp_path, ";".join(COMPUTED[said]))
+    path = file.parent
     with pytest.raises(MeasurementError, match=f"{file.name}: .*{said}"):
         topics(path if inside else file)
 

@@ -154,6 +154,10 @@ def test_pages_that_leave_while_they_are_answered_are_nothing_to_speak_of(
     page, first = asked(address, "Origin: http://[::1\r\n")
     page.close()
     assert b"403" in first
+    # Bytes that are no form, sent to where a WebSocket is.
+    form = {"Content-Type": "multipart/form-data; boundary="}
+    with pytest.raises(urllib.error.HTTPError, match="400"):
+        urllib.request.urlopen(urllib.request.Request(address + "live", b"a", form))
     page, first = asked(address)
     assert b"101" in first
     page.sendall(50 * question)

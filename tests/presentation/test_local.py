@@ -58,3 +58,20 @@ def test_a_server_that_ends_does_not_answer_all_that_was_asked_ahead(monkeypatch
 
     asyncio.run(asked())
     assert len(answered) < 1000
+
+
+@pytest.mark.parametrize("host", ["localhost", "evil.example"])
+def test_a_body_that_is_none_is_not_shown_in_the_terminal(host: str, caplog: pytest.LogCaptureFixture) -> None:
+    """Any program here, and any page of another site, can send one to an address that leads nowhere."""
+    form = f"Host: {host}\r\nContent-Type: multipart/form-data; boundary=\r\nContent-Length: 1\r\n\r\na"
+
+    async def asked() -> bytes:
+        async with listening([], 0) as address:
+            reader, writer = await asyncio.open_connection("127.0.0.1", int(address.rstrip("/").rpartition(":")[2]))
+            writer.write(f"POST /\x9b31m HTTP/1.1\r\n{form}".encode("latin-1"))
+            said = await reader.readline()
+            writer.close()
+            return said
+
+    assert asyncio.run(asked()) == b"HTTP/1.1 400 Bad Request\r\n"
+    assert not caplog.records

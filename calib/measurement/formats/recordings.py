@@ -166,6 +166,9 @@ def _messages(reader: Any, path: Path, wanted: str | None) -> Iterator[tuple[str
 
     What can become nothing, and what is only to be listed, is not read: its message is None.
     """
+    # A column of SQLite holds what was put there, whatever it says that it holds.
+    if not all(isinstance(word, str) for one in reader.connections for word in (one.topic, one.msgtype)):
+        raise MeasurementError(f"{path}: has a topic whose name or type is no text.")
     types = reader.typestore.fielddefs
     told = {kind: told_by(types, kind) for kind in {one.msgtype for one in reader.connections}}
     chosen = [one for one in reader.connections if wanted is None or _may_hold(one, told[one.msgtype], wanted)]
@@ -175,6 +178,8 @@ def _messages(reader: Any, path: Path, wanted: str | None) -> Iterator[tuple[str
     for count, (connection, time, raw) in enumerate(reader.messages(connections=chosen)):
         if count >= _MOST_MESSAGES:
             raise MeasurementError(f"{path}: has more than {_MOST_MESSAGES} messages; cut it into parts.")
+        if not isinstance(time, int):
+            raise MeasurementError(f"{path}: has a message whose time is no whole number.")
         name, kind = connection.topic, connection.msgtype
         of = told[kind]
         if not of.of or (wanted is None and not of.frames):
