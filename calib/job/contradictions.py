@@ -179,7 +179,7 @@ def _of_lens(at: str, section: InstrumentSection) -> Iterator[str]:
         if section.lens_file is None and section.fx is None:
             yield f"{at}.lens_sigma.{key}: is about what is given, and fx, fy, cx, cy are not; leave it out."
     if section.lens_file is not None:
-        for key in (*NAMES, "size"):
+        for key in NAMES:
             if key in section.model_fields_set:
                 yield f"{at}.{key}: is given by lens_file as well; keep one of them."
         return

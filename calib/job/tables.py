@@ -261,8 +261,13 @@ def _instrument(
         numbers: dict[str, Any] = {name: getattr(value, "si", value) for name, value in stated.items()}
         size = section.size
         if section.lens_file is not None:
-            lens, size = lenses[section.lens_file]
-            numbers = lens._asdict()
+            lens, of_file = lenses[section.lens_file]
+            if of_file is not None and size not in (None, of_file):
+                raise JobError(
+                    f"instruments.{name}.size: is {size[0]} x {size[1]}, and {section.lens_file} says "
+                    f"{of_file[0]} x {of_file[1]}; keep one of them."
+                )
+            numbers, size = lens._asdict(), of_file or size
         known = section.lens_sigma.by_name
         return Camera(place, **numbers, sigma=sigma, free=tuple(free), size=size, name=name, lens_sigma=known)
     x, y, z = (length.si for length in section.station)

@@ -189,6 +189,26 @@ def test_a_spoilt_case_is_refused_in_one_sentence(tmp_path: Path, name: str) -> 
     assert not (tmp_path / "out").exists()
 
 
+LENS_FILE = """{size}camera_matrix: [[1395.2, 0, 648.3], [0, 1393.8, 505.9], [0, 0, 1]]
+distortion_coefficients: [-0.1124, 0.1387, 0.00031, -0.00047, -0.0312]
+"""
+
+
+def test_a_lens_file_may_leave_the_size_of_images_to_the_job(tmp_path: Path) -> None:
+    for file in FILES:
+        shutil.copyfile(CASE / file, tmp_path / file)
+    numbers = [(f'{key} = "{value} px"\n', "") for key, value in LENS.items()]
+    numbers += [(f"{key} = {value}\n", "") for key, value in BENT.items()]
+    edit(JOB, ('kind = "camera"', 'kind = "camera"\nlens_file = "lens.yaml"'), *numbers)(tmp_path)
+    for size in ("", "image_width: 1280\nimage_height: 1024\n"):
+        (tmp_path / "lens.yaml").write_text(LENS_FILE.format(size=size))
+        assert run("check", tmp_path / JOB).code == 0
+    (tmp_path / "lens.yaml").write_text(LENS_FILE.format(size="image_width: 640\nimage_height: 512\n"))
+    said = run("check", tmp_path / JOB)
+    assert (said.code, said.out) == (1, "")
+    assert "instruments.camera.size: is 1280 x 1024, and lens.yaml says 640 x 512; keep one of them." in said.err
+
+
 def test_levels_work_without_a_base(tmp_path: Path) -> None:
     """Cameras alone know no base to fit anew after each level."""
     for file in FILES:
