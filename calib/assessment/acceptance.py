@@ -29,7 +29,7 @@ from calib.foundations.ranges import refuse_beyond
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors, residual_errors
-from calib.machine.uncertainty import NoiseLevel, Uncertainty
+from calib.machine.uncertainty import Uncertainty
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import TipModel
@@ -199,7 +199,7 @@ def _sigma(uncertainty: Uncertainty, data: Measurements) -> Array:
                 f"{data.where}: the calibration was made without any {quantity}; verify by the kind of data it was "
                 "made from."
             )
-        part = _with_model(data.sigma[:, 3 * k : 3 * k + 3], level)
+        part = level.of_rows(data.sigma[:, 3 * k : 3 * k + 3])
         if not (part > _LEAST_NOISE).all():
             raise MeasurementError(
                 f"{data.where}: neither the rows nor uncertainty.json of the calibration state any noise of a "
@@ -207,11 +207,6 @@ def _sigma(uncertainty: Uncertainty, data: Measurements) -> Array:
             )
         parts.append(part)
     return np.hstack(parts)
-
-
-def _with_model(instrument: Array, level: NoiseLevel) -> Array:
-    stated = np.hypot(instrument, level.model)
-    return np.asarray(np.where(instrument > 0.0, stated, level.total))
 
 
 def _realigned(machine: CalibratedMachine, data: Measurements) -> CalibratedMachine:

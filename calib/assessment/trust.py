@@ -70,6 +70,7 @@ def verdict(
             of_errors.explained(fit, decisive),
             of_errors.improvement(fit, decisive),
             of_errors.prediction(fit, machine, held_out),
+            of_errors.regions(machine, held_out),
             of_fit.stated_sigma(fit),
             of_errors.independent_rows(own, held_out),
             of_errors.copies(own, held_out),

@@ -80,6 +80,10 @@ class NoiseLevel:
     total: float
     degrees_of_freedom: float
 
+    def of_rows(self, instrument: Array) -> Array:
+        """Return the standard deviations of numbers, of which ``instrument`` has those that are stated, or 0."""
+        return np.asarray(np.where(instrument > 0.0, np.hypot(instrument, self.model), self.total))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:

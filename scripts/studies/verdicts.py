@@ -32,7 +32,7 @@ SOUND = {"sound": sound, "poor": poor, "moving": moving}
 # A session that is trusted is right where so many of 200 new tool points are inside their stated 95 % regions.
 INSIDE = 0.9
 # Checks of which less is worse.
-LEAST = ("improvement", "held-out poses", "redundancy", "places", "joints")
+LEAST = ("improvement", "regions", "held-out poses", "redundancy", "places", "joints")
 HEAD = """# Does the verdict say no?
 
 Every calibration ends with a list of checks (see [assessment](assessment.md)); it is trusted when all of them pass.

@@ -92,7 +92,7 @@ def failed(found: calib.Calibration) -> set[str]:
 def test_a_sound_calibration_passes_all_checks(cell: Cell, fit: calib.Fit) -> None:
     found = calib.assess(fit, cell.measured(cell.draw(20)))
     assert (found.trusted, found.doubts, failed(found)) == (True, (), set())
-    assert len({check.name for check in found.checks}) == len(found.checks) == 26
+    assert len({check.name for check in found.checks}) == len(found.checks) == 27
     assert found.shown[0].startswith("Shown for the measured range: ")
     alone = calib.assess(fit)
     assert alone.trusted
@@ -132,6 +132,20 @@ def test_what_a_validation_must_be(cell: Cell, fit: calib.Fit, rows, name: str) 
     found = calib.assess(fit, rows(fit.measurements[0], cell))
     assert not found.trusted
     assert name in failed(found)
+
+
+def test_errors_of_a_load_that_held_out_rows_do_not_have_are_outside_their_regions() -> None:
+    """They are no larger than predicted, and in directions in which they should be far smaller."""
+    cell = Cell(7)
+    q, load = cell.draw(50), np.array([0.0, 1e-3, 1e-3, 0.0, 0.0, 0.0])
+    own = cell.measured(q + load * np.cos(q), q, sigma=3e-5)
+    fit = calib.identify(cell.model, own)
+    found = calib.assess(fit, cell.measured(cell.draw(20), sigma=3e-5))
+    assert failed(found) == {"regions"}
+    told = next(check for check in found.checks if check.name == "regions")
+    assert told.statistic < 0.5
+    loaded = cell.draw(20)
+    assert calib.assess(fit, cell.measured(loaded + load * np.cos(loaded), loaded, sigma=3e-5)).trusted
 
 
 def test_random_numbers_are_not_explained() -> None:

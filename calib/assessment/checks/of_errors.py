@@ -15,7 +15,7 @@ from calib.foundations.linear import spread
 from calib.identification.fit import Fit
 from calib.identification.repeats import by_pose
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.tool_uncertainty import common_errors
+from calib.machine.tool_uncertainty import common_errors, residual_errors
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import End, Measurements
 from calib.measurement.poses import ONE_POSE, both_ends, poses_of
@@ -30,6 +30,9 @@ SURELY, WORSE = 0.975, -4.0
 AS_NOISE = 2.0
 # Held-out errors as multiples of those predicted, which are themselves estimates: their chance.
 PREDICTED, RARELY = 3.0, 1e-4
+# The probability of regions, and the share of held-out positions that must be inside. Of sound sessions, those with a
+# poor arm among them, four in five positions were inside or more.
+REGION, INSIDE = 0.95, 0.7
 # The share of rows that a robust loss may pass over in a held-out table, too.
 PASSED_OVER = 0.15
 # Held-out poses that are needed, and the share of them that may be copies of those of the fit.
@@ -157,6 +160,47 @@ def prediction(fit: Fit, machine: CalibratedMachine, held_out: Sequence[JudgedSe
     return Check.of("prediction", worst, limit, not worst > limit, said)
 
 
+def regions(machine: CalibratedMachine, held_out: Sequence[JudgedSet]) -> Check:
+    """Whether positions held out are inside the regions that the machine states for them, with the noise of a row.
+
+    Errors may be as large as predicted, and in directions in which they should be small.
+    """
+    worst, said = NOTHING, "No positions were held out whose regions are known."
+    for one in held_out:
+        inside = _inside(machine, one)
+        if not len(inside):
+            continue
+        share, outside = float(np.mean(inside)), int(np.sum(~inside))
+        # Of so many rows: what a few do may be chance.
+        if scipy.special.bdtrc(outside - 1, len(inside), 1.0 - REGION) > RARELY:
+            share = max(share, INSIDE)
+        if not worst <= share:
+            worst = share
+            said = f"{100.0 * float(np.mean(inside)):.0f} % of the held-out positions are inside the 95 % regions"
+    more = ": something differs between the fitted and the held-out rows."
+    if np.isnan(worst):
+        return Check.idle("regions", INSIDE, said, least=True)
+    return Check.judged("regions", worst, INSIDE, said, more, least=True)
+
+
+def _inside(machine: CalibratedMachine, one: JudgedSet) -> BoolArray:
+    """Return which positions (N,) are inside their regions, of those that are known; where rows lie on one, all are."""
+    data, level = one.data, machine.known_uncertainty.position
+    if level is None or data.kind not in ("position", "pose") or not _known(machine, data):
+        return np.zeros(0, dtype=np.bool_)
+    most = bound(REGION, 3, machine.known_uncertainty.degrees_of_freedom)
+    found = np.empty(len(data), dtype=np.bool_)
+    for start in range(0, len(data), _BLOCK):
+        rows = np.arange(start, min(start + _BLOCK, len(data)))
+        own = data.subset(rows)
+        F = np.concatenate([of(machine, own)[:, :3] for of in (common_errors, residual_errors)], axis=2)
+        noise = np.maximum(level.of_rows(own.sigma[:, :3]), ROUNDING)
+        C = F @ np.swapaxes(F, 1, 2) + noise[:, :, None] ** 2 * np.eye(3)
+        r = one.after[rows, :3, None]
+        found[rows] = (np.swapaxes(r, 1, 2) @ np.linalg.solve(C, r))[:, 0, 0] <= most
+    return found
+
+
 def _means_of_poses(fit: Fit) -> list[Array]:
     """Return the residuals (n, d) of every set; means of poses, as these follow each other, where rows err together."""
     again = {one.measurements for one in fit.repeats}
@@ -172,14 +216,18 @@ def _means_of_poses(fit: Fit) -> list[Array]:
 
 def _of_parameters(machine: CalibratedMachine, data: Measurements, columns: slice) -> Array:
     """Return the variance (N,) that the parameters bring to positions or turns; nothing for what is not known of."""
-    known = machine.bases.keys() >= set(data.setups) and machine.tools.keys() >= set(data.tools)
-    if data.position is None or not known:
+    if data.position is None or not _known(machine, data):
         return np.zeros(len(data))
     found = np.empty(len(data))
     for start in range(0, len(data), _BLOCK):
         rows = np.arange(start, min(start + _BLOCK, len(data)))
         found[rows] = np.sum(common_errors(machine, data.subset(rows))[:, columns] ** 2, axis=(1, 2))
     return found
+
+
+def _known(machine: CalibratedMachine, data: Measurements) -> bool:
+    """Return whether the machine has the tools and the set-ups of all rows."""
+    return machine.bases.keys() >= set(data.setups) and machine.tools.keys() >= set(data.tools)
 
 
 def independent_rows(own: Sequence[JudgedSet], held_out: Sequence[JudgedSet]) -> Check:
