@@ -21,9 +21,12 @@ from calib.assessment.own_base import OwnBase
 from calib.assessment.places import unshown
 from calib.assessment.stretches import pose_by_pose, stretches
 from calib.foundations.linear import one_thread
+from calib.foundations.words import listed
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.checks import Finding
+
+_COMPLIANCE = ".elastic"
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +110,21 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
                     f"the {noise.quantity} residuals scatter by so much less.",
                 )
             )
+    rising = [
+        parameter.name.removesuffix(_COMPLIANCE)
+        for parameter, value, sigma in zip(fit.parameters, fit.values, fit.sigmas, strict=True)
+        if parameter.name.endswith(_COMPLIANCE) and value < -of_rows.SURE * sigma
+    ]
+    if rising:
+        found.append(
+            Finding(
+                "warning",
+                "compliance-below-zero",
+                f"Compliances are below zero by more than {of_rows.SURE:g} standard deviations, of "
+                f"{listed(rising)}: no drive rises under weight. Check the direction of gravity, the "
+                "payload and the masses of the URDF; other payloads and set-ups are not to be predicted with them.",
+            )
+        )
     if not fit.converged or fit.narrowed == 1.0:
         return tuple(found)
     return (

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.assessment.trust import remarks
 from calib.foundations.errors import JobError, MeasurementError, RobotError
 from calib.identification import system
 from calib.identification.identify import residuals_of
@@ -51,6 +52,20 @@ def rows(
 
 def rms(residuals: Array) -> float:
     return float(np.sqrt(np.mean(residuals**2)))
+
+
+def test_drives_that_rise_under_weight_are_told() -> None:
+    """Of gravity upside down every compliance has the wrong sign, and positions are as well explained."""
+    rng = np.random.default_rng(12)
+    robot, machine, base = calib.load_robot(*UR10), arm(rng), machines.anywhere(rng)
+    data = rows(machine, robot, rng, 60, base)
+    for gravity, told in ((DOWN, False), ((0.0, 0.0, 9.81), True)):
+        hung = calib.load_robot(*UR10, gravity=gravity)
+        fit = calib.identify(machines.model(hung, offsets="all", placements="all", elastic=list(SOFT)), data)
+        found = [one for one in remarks(fit) if one.code == "compliance-below-zero"]
+        assert len(found) == told
+    assert "'shoulder_lift_joint'" in found[0].sentence
+    assert "Check the direction of gravity" in found[0].sentence
 
 
 def test_three_tables_with_three_payloads_calibrate_in_one_job() -> None:
