@@ -288,10 +288,10 @@ def test_validation_by_another_machine_is_not_trusted(folder: Path) -> None:
     assert (said.code, said.err) == (3, "")
     assert doubt in said.out.replace("\n", " ")
     result = json.loads((folder / "out/result.json").read_text(encoding="utf-8"))
-    # Two more say in other words that the rows are of another machine.
-    assert (result["trusted"], result["doubts"][1], len(result["doubts"])) == (False, doubt, 3)
+    # Three more say in other words that the rows are of another machine.
+    assert (result["trusted"], result["doubts"][1], len(result["doubts"])) == (False, doubt, 4)
     failed = [check["name"] for check in result["checks"] if not check["passed"]]
-    assert failed == ["explained", "improvement", "prediction"]
+    assert failed == ["explained", "improvement", "prediction", "regions"]
     again = run("calibrate", JOB, "-o", "out", "--json")
     assert (again.code, json.loads(again.out)["doubts"]) == (3, result["doubts"])
     assert run("calibrate", JOB, "-o", "out", "--quiet") == (3, "", "")
