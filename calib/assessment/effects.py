@@ -29,6 +29,8 @@ _LEAST_BLOCKS = 8
 _FORGOTTEN = 0.1
 # Directions of whose square the parameters leave less than this share are theirs.
 _TAKEN = 1e-7
+# No motion that is fitted enlarges the whitened sum of squares; priors let it grow by less than this.
+_GROWN = 1.0
 _MOST_SPLITS = 60
 # Rows of a stream that are farther apart, in steps, are no neighbours.
 _GAP = 2.5
@@ -148,20 +150,28 @@ def _besides(parts: Sequence[Stretch], motions: Sequence[Array], C: Array) -> tu
     g = np.sum([np.einsum("ndk,nd->k", Z, part.r) for Z, part in both], axis=0)
     values, V = np.linalg.eigh(A - S @ C @ S.T)
     kept = values > _TAKEN * np.trace(A) / len(A)
-    if not kept.any():
-        return tuple(parts), C
     values, V = values[kept], V[:, kept]
     sizes = -(V.T @ g) / values
+    # What the parameters leave of it: so the covariance has no terms of both.
+    left = [(Z - part.J @ (C @ S.T)) @ V for Z, part in both]
+    # A fit that ended a hair early leaves some along its parameters, and that is no motion they nearly take up.
+    kept = np.sum([_grown(part.r, L, sizes) for L, part in zip(left, parts, strict=True)], axis=0) < _GROWN
+    if not kept.any():
+        return tuple(parts), C
+    values, sizes = values[kept], sizes[kept]
     found = []
-    for Z, part in both:
-        # What the parameters leave of it: so the covariance has no terms of both.
-        left = (Z - part.J @ (C @ S.T)) @ V
-        r, J = part.r + left @ sizes, np.concatenate([part.J, left], axis=2)
-        found.append(replace(part, r=r, J=J, used=part.used + float(np.sum(left**2 / values))))
+    for L, part in zip((L[:, :, kept] for L in left), parts, strict=True):
+        r, J = part.r + L @ sizes, np.concatenate([part.J, L], axis=2)
+        found.append(replace(part, r=r, J=J, used=part.used + float(np.sum(L**2 / values))))
     p = len(C)
     covariance = np.zeros((p + len(values), p + len(values)))
     covariance[:p, :p], covariance[p:, p:] = C, np.diag(1.0 / values)
     return tuple(found), covariance
+
+
+def _grown(r: Array, left: Array, sizes: Array) -> Array:
+    """Return by how much each of the directions ``left`` (n, d, k), ``sizes`` (k,) of it, enlarges the sum of r^2."""
+    return np.asarray(sizes * (2.0 * np.einsum("ndk,nd->k", left, r) + sizes * np.sum(left**2, axis=(0, 1))))
 
 
 def delay(parts: Sequence[Stretch], C: Array) -> tuple[Effect, float]:

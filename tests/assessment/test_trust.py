@@ -359,6 +359,18 @@ def test_sound_rows_show_no_effect(cell: Cell) -> None:
         assert all(drift.size < 1e-4 for drift in drifts(parts, C))
 
 
+def test_lengths_that_a_fit_nearly_has_and_a_fit_that_stopped_early_show_no_drift(cell: Cell) -> None:
+    """What residuals have along parameters, a hundredth of a number, is no growth of which parameters leave 1e-6."""
+    (part,), C = cell.effects(cell.measured(cell.draw(60)))
+    q, _ = np.linalg.qr(np.column_stack([part.J.reshape(part.r.size, -1) @ C, cell.rng.normal(size=part.r.size)]))
+    along, other = q[:, 0].reshape(part.r.shape), q[:, -1].reshape(part.r.shape)
+    growth = 500.0 * (along + 1e-3 * other)
+    found = drifts([replace(part, r=part.r + 0.3 * along, by_growth=growth)], C)
+    scatter = {drift.what: drift.scatter for drift in found}
+    assert scatter[LENGTHS] < 1.2 * scatter["base"]
+    assert all(drift.chance > of_rows.RARELY for drift in found)
+
+
 def test_axes_of_an_instrument_that_are_not_equal(cell: Cell) -> None:
     """However the instrument stands: along none of its own axes, and not at right angles."""
     data = cell.measured(cell.draw(60))
