@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from calib.assessment.metrics import Metrics
 from calib.presentation.sheets import SHOWN
@@ -59,3 +59,9 @@ class ResultFile(_Part):
     versions: dict[str, Any]
     inputs: dict[str, str]
     run: str | None = None
+
+    @model_validator(mode="after")
+    def _has_no_doubts_where_it_is_trusted(self) -> "ResultFile":
+        if self.trusted and self.doubts:
+            raise ValueError("it is trusted, and has doubts")
+        return self

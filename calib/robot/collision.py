@@ -23,7 +23,8 @@ from calib.foundations.files import read_bytes
 from calib.foundations.ranges import refuse_shape
 from calib.foundations.xml_text import Element
 from calib.robot.links import arm_of, link_placements
-from calib.robot.mesh_files import LARGEST_FILE, joined, parse_mesh
+from calib.robot.mesh_counts import MOST_CORNERS
+from calib.robot.mesh_files import LARGEST_FILE, Triangles, joined, parse_mesh
 from calib.robot.robot import Robot
 from calib.robot.sampling import random_readings
 from calib.robot.sources import find_mesh
@@ -193,7 +194,7 @@ def self_collision(
     if readings is not None:
         refuse_shape(readings, (None, len(robot.readings)), "readings", RobotError)
     shapes, notes = [], []
-    meshes: _Meshes = {}
+    meshes = _Meshes(robot.urdf.where, mesh_roots)
     elements = _elements(robot.urdf)
     if len(elements) > MOST_SHAPES:
         raise RobotError(
@@ -202,8 +203,8 @@ def self_collision(
         )
     for link, origin, shape in elements:
         try:
-            shapes.append(_shape(link, origin, shape, mesh_roots, meshes))
-        except RobotError as e:
+            shapes.append(_shape(link, origin, shape, meshes))
+        except _LeftOutError as e:
             notes.append(str(e))
     if not shapes:
         return None
@@ -227,21 +228,67 @@ def _elements(urdf: Urdf) -> list[tuple[str, Mapping[str, str], Element]]:
     ]
 
 
-_Meshes = dict[tuple[Path, tuple[float, ...]], object]
+class _LeftOutError(RobotError):
+    """Why one shape is not judged."""
 
 
-def _shape(link: str, origin: Mapping[str, str], shape: Element, roots: Sequence[Path], meshes: _Meshes) -> _Shape:
+class _Meshes:
+    """The meshes of a robot below some folders: a file is read once, and made once for each of its scales."""
+
+    def __init__(self, where: str, roots: Sequence[Path]) -> None:
+        self._where, self._roots = where, roots
+        self._read: dict[Path, Triangles | None] = {}
+        self._made: dict[tuple[Path, tuple[float, ...]], object] = {}
+        self._spare = MOST_CORNERS
+
+    def find(self, attributes: Mapping[str, str], at: str) -> object:
+        """Return a mesh. Raises RobotError when all that were made are too large together."""
+        name = attributes.get("filename", "")
+        path = find_mesh(name, self._roots)
+        if path is None or path.suffix.lower() not in _FORMATS:
+            raise _LeftOutError(f"{at} is the mesh {name[-80:]!r}, which is not found or not read, and is not judged.")
+        scale = _numbers(attributes.get("scale", "1 1 1"), 3, at)
+        what = f"{at} is the mesh {name[-80:]!r}"
+        key = (path, tuple(scale.tolist()))
+        if key not in self._made:
+            mesh = self._once(path)
+            if mesh is None:
+                raise _LeftOutError(f"{what}, which cannot be read or is too large, and is not judged.")
+            self._spend(mesh)
+            self._made[key] = _made(mesh, scale, what)
+        return self._made[key]
+
+    def _once(self, path: Path) -> Triangles | None:
+        if path not in self._read:
+            data = read_bytes(path, _LeftOutError, LARGEST_FILE)
+            mesh = parse_mesh(data, path.suffix.lower(), _GREY)
+            self._read[path] = mesh and joined([part for part in mesh.parts if len(part.faces)], _GREY)
+            self._spare += len(data)
+        return self._read[path]
+
+    def _spend(self, mesh: Triangles) -> None:
+        """Count the corners of a mesh, as many as are drawn of a scene's: each of its scales is one more."""
+        self._spare -= max(mesh.faces.size, len(mesh.vertices))
+        if self._spare < 0:
+            raise RobotError(
+                f"{self._where}: its collision meshes, in all their scales, have more corners of triangles than their "
+                f"files have bytes, and {MOST_CORNERS} more; give simpler shapes, or do not judge collisions "
+                "(--no-collisions)."
+            )
+
+
+def _shape(link: str, origin: Mapping[str, str], shape: Element, meshes: _Meshes) -> _Shape:
     at = f"The collision shape of link {link!r}"
     xyz, rpy = (_numbers(origin.get(name, "0 0 0"), 3, at) for name in ("xyz", "rpy"))
     placement = rigid.placement(rigid.rotation_of_rpy(rpy), xyz)
     if shape.tag == "mesh":
-        geometry: Any = _mesh(shape.attributes, roots, meshes, at)
+        geometry: Any = meshes.find(shape.attributes, at)
     elif shape.tag in _PLAIN_SHAPES:
         made, needed = _PLAIN_SHAPES[shape.tag]
         numbers = [_numbers(shape.attributes.get(name, ""), count, at) for name, count in needed.items()]
         geometry = made(*np.concatenate(numbers))
     else:
-        raise RobotError(f"{at} is a {shape.tag[:40]!r}, which is not a known shape; its collisions are not judged.")
+        raise _LeftOutError(f"{at} is a {shape.tag[:40]!r}, which is not a known shape; its collisions are not judged.")
     geometry.computeLocalAABB()
     centre = np.asarray(geometry.aabb_center, dtype=np.float64)
     return _Shape(
@@ -254,34 +301,15 @@ def _shape(link: str, origin: Mapping[str, str], shape: Element, roots: Sequence
     )
 
 
-def _mesh(attributes: Mapping[str, str], roots: Sequence[Path], meshes: _Meshes, at: str) -> object:
-    """Return a mesh; one that comes often is read once."""
-    name = attributes.get("filename", "")
-    path = find_mesh(name, roots)
-    if path is None or path.suffix.lower() not in _FORMATS:
-        raise RobotError(f"{at} is the mesh {name[-80:]!r}, which is not found or not read, and is not judged.")
-    scale = _numbers(attributes.get("scale", "1 1 1"), 3, at)
-    key = (path, tuple(scale.tolist()))
-    if key not in meshes:
-        meshes[key] = _read_mesh(path, scale, f"{at} is the mesh {name[-80:]!r}")
-    return meshes[key]
-
-
-def _read_mesh(path: Path, scale: Array, what: str) -> object:
-    data = read_bytes(path, RobotError, LARGEST_FILE)
-    suffix = path.suffix.lower()
-    mesh = parse_mesh(data, suffix, _GREY)
-    if mesh is None:
-        raise RobotError(f"{what}, which cannot be read or is too large, and is not judged.")
-    found = joined([part for part in mesh.parts if len(part.faces)], _GREY)
+def _made(found: Triangles, scale: Array, what: str) -> object:
     vertices = found.vertices * scale
     if np.abs(vertices).max() > LARGEST_NUMBER:
-        raise RobotError(f"{what}, which has corners beyond {LARGEST_NUMBER:g} m, and is not judged.")
+        raise _LeftOutError(f"{what}, which has corners beyond {LARGEST_NUMBER:g} m, and is not judged.")
     corners = vertices[found.faces]
     # What has two corners in one place is no triangle.
     faces = found.faces[(corners != corners[:, [1, 2, 0]]).any(axis=2).all(axis=1)]
     if not len(faces):
-        raise RobotError(f"{what}, which has no triangles, and is not judged.")
+        raise _LeftOutError(f"{what}, which has no triangles, and is not judged.")
     shape = coal.BVHModelOBBRSS()
     shape.beginModel(len(faces), len(vertices))
     shape.addVertices(vertices)
@@ -296,9 +324,9 @@ def _numbers(text: str, count: int, at: str) -> Array:
     except ValueError:
         values = np.zeros(0)
     if values.shape != (count,) or not np.isfinite(values).all():
-        raise RobotError(f"{at} has {text[:60]!r} where {count} numbers are needed, and is not judged.")
+        raise _LeftOutError(f"{at} has {text[:60]!r} where {count} numbers are needed, and is not judged.")
     if np.abs(values).max() > LARGEST_NUMBER:
-        raise RobotError(f"{at} has {text[:60]!r}; allowed are numbers up to {LARGEST_NUMBER:g}. It is not judged.")
+        raise _LeftOutError(f"{at} has {text[:60]!r}; allowed are numbers up to {LARGEST_NUMBER:g}. It is not judged.")
     return values
 
 

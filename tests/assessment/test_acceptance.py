@@ -471,9 +471,10 @@ def test_two_results_side_by_side_as_a_page(case: Path, tmp_path: Path) -> None:
     before = page.read_bytes()
     assert run("compare", case / "out", other, "-o", page).code == 1
     assert page.read_bytes() == before
-    (other / "result.json").write_text('{"trusted": true, "metrics": []}')
-    said = run("compare", case / "out", other, "-o", tmp_path / "new.html")
-    assert (said.code, said.err) == (1, f"Error: {other / 'result.json'}: is not a result of this tool.\n")
+    for edited in ('{"trusted": true, "metrics": []}', json.dumps(result | {"trusted": True, "doubts": ["One."]})):
+        (other / "result.json").write_text(edited)
+        said = run("compare", case / "out", other, "-o", tmp_path / "new.html")
+        assert (said.code, said.err) == (1, f"Error: {other / 'result.json'}: is not a result of this tool.\n")
     assert not (tmp_path / "new.html").exists()
 
 

@@ -301,13 +301,25 @@ def test_a_mesh_that_comes_often_is_read_once(tmp_path: Path, monkeypatch: pytes
     (tmp_path / "m.stl").write_bytes(hostile_files._stl(5_000))
     read: list[Path] = []
     monkeypatch.setattr("calib.robot.collision.read_bytes", lambda path, *rest: read.append(path) or path.read_bytes())
-    for scale, times in (("", 1), (' scale="2 2 2"', 2)):
+    for scale in ("", ' scale="2 2 2"'):
         mesh = many('<mesh filename="m.stl"/>', 3) | {"tip": many(f'<mesh filename="m.stl"{scale}/>', 1)["tip"]}
         found = self_collision(robot_of(with_shapes(ARM, mesh)), (tmp_path,), np.zeros((1, 4)))
         assert found is not None
         assert len(found.shapes) == 13
-        assert len(read) == times
+        assert len(read) == 1
         read.clear()
+
+
+def test_scales_of_a_mesh_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "m.stl").write_bytes(hostile_files._stl(5_000))
+    shapes = "".join(
+        f'<collision><geometry><mesh filename="m.stl" scale="{1 + k} 1 1"/></geometry></collision>' for k in range(20)
+    )
+    robot = robot_of(with_shapes(ARM, {"base": shapes}))
+    assert self_collision(robot, (tmp_path,), np.zeros((1, 4))) is not None
+    monkeypatch.setattr("calib.robot.collision.MOST_CORNERS", 100)
+    with pytest.raises(RobotError, match=r"inline.urdf: its collision meshes, in all their scales, have more corners "):
+        self_collision(robot, (tmp_path,), np.zeros((1, 4)))
 
 
 def test_poses_that_no_arm_can_take_are_given_up_soon() -> None:
