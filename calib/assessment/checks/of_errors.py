@@ -177,7 +177,7 @@ def regions(machine: CalibratedMachine, held_out: Sequence[JudgedSet]) -> Check:
         if not worst <= share:
             worst = share
             said = f"{100.0 * float(np.mean(inside)):.0f} % of the held-out positions are inside the 95 % regions"
-    more = ": something differs between the fitted and the held-out rows."
+    more = ": something differs between the fitted and the held-out rows, or what is stated is too small."
     if np.isnan(worst):
         return Check.idle("regions", INSIDE, said, least=True)
     return Check.judged("regions", worst, INSIDE, said, more, least=True)
