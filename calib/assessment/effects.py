@@ -10,10 +10,10 @@ in all of them -, so that N rows say less than N independent ones: the standard 
 blocks of neighbours, each longer than residuals remember (W. K. Newey, K. D. West, Econometrica 55, 1987, with blocks).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -38,6 +38,7 @@ _GAP = 2.5
 _LEAST_ROWS = 3
 # What drifts where an arm warms up.
 LENGTHS = "length of the arm"
+_Found = TypeVar("_Found")
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +161,8 @@ def _besides(parts: Sequence[Stretch], motions: Sequence[Array], C: Array) -> tu
         return tuple(parts), C
     values, sizes = values[kept], sizes[kept]
     found = []
-    for L, part in zip((L[:, :, kept] for L in left), parts, strict=True):
+    for whole, part in zip(left, parts, strict=True):
+        L = whole[:, :, kept]
         r, J = part.r + L @ sizes, np.concatenate([part.J, L], axis=2)
         found.append(replace(part, r=r, J=J, used=part.used + float(np.sum(L**2 / values))))
     p = len(C)
@@ -254,6 +256,14 @@ def score_test(A: Array, S: Array, g: Array, C: Array) -> Score:
     )
 
 
+def _score_of(D: Array, part: Stretch, C: Array) -> tuple[Score, Array]:
+    """Return the score test of directions D (n d, k) of a part alone, and what they change in it (n, d)."""
+    J = part.J.reshape(part.r.size, -1)
+    S = D.T @ J
+    score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
+    return score, ((D - J @ (C @ S.T)) @ score.sizes).reshape(part.r.shape)
+
+
 class Drift(NamedTuple):
     """How far ``what`` seems to move the tool in the course of a ``file``: ``size``, rms over its rows, in m.
 
@@ -275,12 +285,7 @@ def drifts(parts: Sequence[Stretch], C: Array) -> tuple[Drift, ...]:
     Up to the third order. None of sets whose rows are too few.
     """
     things = [*_things(parts), (LENGTHS, [part.by_growth[:, :, None] for part in parts])] if parts else []
-    found = []
-    for what, motions in things:
-        within, own = _besides(parts, motions, C)
-        told = (_drift_of(what, part, Z, own, len(things)) for part, Z in zip(within, motions, strict=True))
-        found += [drift for drift in told if drift is not None]
-    return tuple(sorted(found, key=lambda drift: (-drift.gain, drift.what)))
+    return tuple(sorted(_of_each(things, parts, C, _drift_of), key=lambda drift: (-drift.gain, drift.what)))
 
 
 def _drift_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Drift | None:
@@ -290,10 +295,7 @@ def _drift_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Drif
     t = np.linspace(-1.0, 1.0, n)
     shapes = np.stack([t, 1.5 * t**2 - 0.5, 2.5 * t**3 - 1.5 * t], axis=1)
     D = np.einsum("ndk,ns->ndks", Z, shapes).reshape(part.r.size, -1)
-    J = part.J.reshape(part.r.size, -1)
-    S = D.T @ J
-    score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
-    shift = ((D - J @ (C @ S.T)) @ score.sizes).reshape(part.r.shape)
+    score, shift = _score_of(D, part, C)
     rest = part.r + shift
     chance = min(1.0, things * _chance(score, rest, part))
     variance = _scatter(rest, part, int(score.numbers))
@@ -365,10 +367,8 @@ def strains(parts: Sequence[Stretch], C: Array) -> tuple[Strain, ...]:
         x = part.data.position[rows]
         moved = np.einsum("sij,nj->nis", _STRAINS, x - x.mean(axis=0))
         D = (part.by_base[:, :, :3] @ moved).reshape(part.r.size, -1)
-        J = part.J.reshape(part.r.size, -1)
-        S = D.T @ J
-        score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
-        rest = part.r + ((D - J @ (C @ S.T)) @ score.sizes).reshape(part.r.shape)
+        score, shift = _score_of(D, part, C)
+        rest = part.r + shift
         variance = _scatter(rest, part)
         lengths = np.linalg.eigvalsh(np.einsum("sij,s->ij", _STRAINS, score.sizes))
         size = float(np.sqrt(float(score.gain) / variance / len(rows)))
@@ -404,12 +404,22 @@ def _chance(found: Score, rest: Array, part: Stretch) -> float:
 def steps(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     """Return the likeliest change of base, tool and every joint in the course of every set, the largest size first."""
     things = _things(parts) if parts else []
-    found = []
+    return tuple(sorted(_of_each(things, parts, C, _step_of), key=lambda step: (-step.size, step.what)))
+
+
+def _of_each(
+    things: Sequence[tuple[str, list[Array]]],
+    parts: Sequence[Stretch],
+    C: Array,
+    of: Callable[[str, Stretch, Array, Array, int], _Found | None],
+) -> Iterator[_Found]:
+    """Yield what is found ``of`` each thing in each part, by a fit that had sought its motions of all rows too."""
     for what, motions in things:
         within, own = _besides(parts, motions, C)
-        told = (_step_of(what, part, Z, own, len(things)) for part, Z in zip(within, motions, strict=True))
-        found += [step for step in told if step is not None]
-    return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
+        for part, Z in zip(within, motions, strict=True):
+            one = of(what, part, Z, own, len(things))
+            if one is not None:
+                yield one
 
 
 def _things(parts: Sequence[Stretch]) -> list[tuple[str, list[Array]]]:

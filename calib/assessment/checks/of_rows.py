@@ -23,10 +23,12 @@ RARELY, SIZE = 1e-4, 3.0
 WANDERED, WARMER = 5e-4, 2e-5
 # Scatters of the residuals by which anything may drift, and lengths: where rows go along a joint, the gear of a poor
 # arm wobbles with them, by up to 1.4 as a drift of joints or the base, and by less than 1 as one of lengths.
-DRIFTED = (2.0, 1.0)
-# What moved, where that drifts.
-_MOVED = {"base": "the instrument or the robot", "tool": "the tool, or what it carries,"}
-_SLIPPED = "the joint or its encoder"
+DRIFTED, GROWN = 2.0, 1.0
+_WHY_IT_DRIFTS = {
+    "base": "the instrument or the robot moved",
+    "tool": "the tool, or what it carries, moved",
+    LENGTHS: "let it warm up before it is measured",
+}
 # Rows between measurements and readings; the share by which a joint moves more; standard errors and least size of both.
 LATE, GEAR, SURE, SEEN = 0.2, 0.01, 6.0, 1.0
 # Of 27 sound sessions with times the largest was 0.17.
@@ -80,23 +82,24 @@ def drift(found: Sequence[Drift], fit: Fit) -> Check:
     A base may, by some of its instrument's noise; what an arm is now, its calibration is to say.
     """
     reach = fit.model.robot.reach
-    limits = [
-        max((WANDERED if one.what == "base" else WARMER) * reach, DRIFTED[one.what == LENGTHS] * one.scatter)
-        for one in found
-    ]
-    told = [(one, limit) for one, limit in zip(found, limits, strict=True) if one.chance < RARELY]
+    told = [(one, _drift_limit(one, reach)) for one in found if one.chance < RARELY]
     if not told:
         return Check.idle("drift", WANDERED * reach, "Nothing seems to drift over the rows.")
     # What drifts moves others as well, in part: of those that move far, the likeliest is named.
     far = [(one, limit) for one, limit in told if one.size > limit]
-    worst, limit = (
-        max(far, key=lambda each: each[0].gain) if far else max(told, key=lambda each: each[0].size / each[1])
-    )
-    why = (
-        "let it warm up before it is measured" if worst.what == LENGTHS else f"{_MOVED.get(worst.what, _SLIPPED)} moved"
-    )
+    if far:
+        worst, limit = max(far, key=lambda each: each[0].gain)
+    else:
+        worst, limit = max(told, key=lambda each: each[0].size / each[1])
     said = f"{worst.file}: over the rows the {_thing(worst.what)} seems to drift, which moves the tool by"
+    why = _WHY_IT_DRIFTS.get(worst.what, "the joint or its encoder moved")
     return Check.judged("drift", worst.size, limit, f"{said} {worst.size / MM:.2g} mm", f": {why}.")
+
+
+def _drift_limit(one: Drift, reach: float) -> float:
+    if one.what == "base":
+        return max(WANDERED * reach, DRIFTED * one.scatter)
+    return max(WARMER * reach, (GROWN if one.what == LENGTHS else DRIFTED) * one.scatter)
 
 
 def late(found: Effect, step: float = NOTHING) -> Check:
