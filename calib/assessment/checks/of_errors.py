@@ -165,26 +165,26 @@ def regions(machine: CalibratedMachine, held_out: Sequence[JudgedSet]) -> Check:
 
     Errors may be as large as predicted, and in directions in which they should be small.
     """
-    worst, said = NOTHING, "No positions were held out whose regions are known."
+    told = []
     for one in held_out:
         inside = _inside(machine, one)
         if not len(inside):
             continue
         share, outside = float(np.mean(inside)), int(np.sum(~inside))
+        said = f"{100.0 * share:.0f} % of the held-out positions are inside the 95 % regions"
         # Of so many rows: what a few do may be chance.
         if scipy.special.bdtrc(outside - 1, len(inside), 1.0 - REGION) > RARELY:
             share = max(share, INSIDE)
-        if not worst <= share:
-            worst = share
-            said = f"{100.0 * float(np.mean(inside)):.0f} % of the held-out positions are inside the 95 % regions"
+        told.append((share, said))
+    if not told:
+        return Check.idle("regions", INSIDE, "No positions were held out whose regions are known.", least=True)
+    worst, said = min(told)
     more = ": something differs between the fitted and the held-out rows, or what is stated is too small."
-    if np.isnan(worst):
-        return Check.idle("regions", INSIDE, said, least=True)
     return Check.judged("regions", worst, INSIDE, said, more, least=True)
 
 
 def _inside(machine: CalibratedMachine, one: JudgedSet) -> BoolArray:
-    """Return which positions (N,) are inside their regions, of those that are known; where rows lie on one, all are."""
+    """Return which positions (N,) are inside their regions; none (0,) where these are not known."""
     data, level = one.data, machine.known_uncertainty.position
     if level is None or data.kind not in ("position", "pose") or not _known(machine, data):
         return np.zeros(0, dtype=np.bool_)
