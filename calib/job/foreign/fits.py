@@ -74,11 +74,9 @@ def _columns_of(seen: Seen, pick: Pick) -> tuple[list[RawColumn], list[RawColumn
 
 
 def _trials_of(seen: Seen, pick: Pick, lengths: Sequence[str]) -> list[Trial]:
-    assert pick.point is not None
     robot = seen.robot(pick.arm)
     columns, point = _columns_of(seen, pick)
-    numbers = numbers_of(seen.raw, (*pick.joints.columns, *pick.point.columns))
-    rows = _rows(seen, pick)
+    numbers, rows = _numbers_and_rows(seen, pick)
     if len(rows) > _MOST_ROWS:
         rows = rows[np.linspace(0, len(rows) - 1, _MOST_ROWS).astype(np.intp)]
     if len(rows) < _FEWEST_TRIED or not of_dimension(point, "length"):
@@ -99,18 +97,18 @@ def _trials_of(seen: Seen, pick: Pick, lengths: Sequence[str]) -> list[Trial]:
     return found
 
 
-def _rows(seen: Seen, pick: Pick) -> IntArray:
-    """Return the rows with numbers for joints and point, of a table with other rows beside."""
+def _numbers_and_rows(seen: Seen, pick: Pick) -> tuple[Array, IntArray]:
+    """Return the columns of joints and point, and the rows of one kind that have numbers in all of them."""
     assert pick.point is not None
     numbers = numbers_of(seen.raw, (*pick.joints.columns, *pick.point.columns))
-    return np.flatnonzero(np.isfinite(numbers).all(axis=1) & seen.alike())
+    return numbers, np.flatnonzero(np.isfinite(numbers).all(axis=1) & seen.alike())
 
 
 def _why_none(seen: Seen, pick: Pick) -> str:
     """Return why there is no way at all to read a pick."""
     assert pick.point is not None
     columns = f"{seen.titles(pick.joints.columns)} and {seen.titles(pick.point.columns)}"
-    if (rows := len(_rows(seen, pick))) < _FEWEST_TRIED:
+    if (rows := len(_numbers_and_rows(seen, pick)[1])) < _FEWEST_TRIED:
         found = "only one row" if rows else "no row"
         raise MeasurementError(
             f"{seen.raw.where}: {found} has numbers in {columns}; what columns are is known by how the arm follows "
