@@ -21,6 +21,7 @@ from calib.foundations.linear import spread, svd
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.place import SAME, Place
 from calib.machine.tool_uncertainty import link_errors
+from calib.machine.uncertainty import Uncertainty
 from calib.measurement.measurements import ONLY_TOOL
 from calib.robot.conditions import Conditions, ordinary
 from calib.robot.sampling import random_readings
@@ -99,28 +100,22 @@ def with_tool_point(
     values, vectors = np.linalg.eigh(covariance)
     own = np.zeros((start + 6, 3))
     own[start : start + 3] = vectors * np.sqrt(np.maximum(values, 0.0))
-    factor, null_basis = (
-        np.vstack([part[:start], np.zeros((6, part.shape[1]))]) for part in (known.factor, known.null_basis)
-    )
     tools = {ONLY_TOOL: read_only(rigid.translation(point))}
-    alone = replace(
-        machine,
-        tools=tools,
-        tool_tips={},
-        residual_model=None,
-        uncertainty=replace(known, factor=factor, null_basis=null_basis),
-        in_urdf=None,
-    )
-    if pivoted is not None:
-        factor[start : start + 3], null_basis[start : start + 3] = _followed(alone, pivoted)
+    bare = _of_point(known, start, np.zeros((3, known.factor.shape[1])), np.zeros((3, known.null_basis.shape[1])))
+    alone = replace(machine, tools=tools, tool_tips={}, residual_model=None, uncertainty=bare, in_urdf=None)
+    told = bare if pivoted is None else _of_point(known, start, *_followed(alone, pivoted))
     instrument, parameters, left_out = known.causes
-    whole = replace(
-        known,
-        factor=read_only(np.hstack([own, factor])),
-        causes=(instrument + 3, parameters, left_out),
-        null_basis=read_only(null_basis),
+    factor, causes = read_only(np.hstack([own, told.factor])), (instrument + 3, parameters, left_out)
+    return replace(alone, uncertainty=replace(told, factor=factor, causes=causes))
+
+
+def _of_point(known: Uncertainty, start: int, errors: Array, unseen: Array) -> Uncertainty:
+    """Return what is known of a machine with one tool, a point with ``errors`` (3, r) and ``unseen`` (3, k)."""
+    factor, null_basis = (
+        read_only(np.vstack([part[:start], rows, np.zeros_like(rows)]))
+        for part, rows in ((known.factor, errors), (known.null_basis, unseen))
     )
-    return replace(alone, uncertainty=whole)
+    return replace(known, factor=factor, null_basis=null_basis)
 
 
 def _followed(machine: CalibratedMachine, of: Pivoted) -> tuple[Array, Array]:
