@@ -176,6 +176,41 @@ def refuse_taken(*paths: Path | None, with_parents: bool = False) -> None:
             with sentences(path, OutputError, "cannot be written"):
                 if not stat.S_ISDIR(path.parent.stat().st_mode):
                     raise OutputError(f"{path}: cannot be written ({os.strerror(errno.ENOTDIR)}).")
+                refuse_long(path)
+
+
+def hidden(name: str, kind: str) -> str:
+    """Return a new name for what is beside ``name`` while that is written: of ``kind`` part or calib."""
+    return f".{name}.{secrets.token_hex(4)}.{kind}"
+
+
+def nearest_folder(path: Path) -> Path:
+    """Return what is there of the folders above a path, the nearest; above the root, the root."""
+    whole = path.absolute()
+    return next((folder for folder in whole.parents if folder.exists()), whole)
+
+
+def refuse_long(path: Path) -> None:
+    """Raise OutputError where a name is longer than its file system takes, or the hidden one beside it would be.
+
+    Also of folders above it that are to be made. Only the file system knows: it is asked before work is done.
+    """
+    with sentences(path, OutputError, "cannot be written"):
+        there = nearest_folder(path)
+        *above, name = path.absolute().relative_to(there).parts or (path.name,)  # the root has no name
+        for one in (*above, longest := hidden(name, "calib")):
+            try:
+                os.lstat(there / one)
+            except FileNotFoundError:
+                pass
+            except OSError as e:
+                if e.errno != errno.ENAMETOOLONG:
+                    raise
+                more = len(longest) - len(name)
+                raise OutputError(
+                    f"{path}: its name is too long, as while it is written a hidden one beside it has {more} "
+                    "characters more; choose a shorter name."
+                ) from e
 
 
 def stamp(path: Path) -> tuple[int, int, int] | None:
@@ -255,7 +290,7 @@ def _appear(path: Path, data: bytes, folder: int, *, new: bool) -> os.stat_resul
     A link takes the place of nothing, so that what is to replace another is for one moment called as a part, and so is
     all that is written where files without a name are not known.
     """
-    part = f".{path.name}.{secrets.token_hex(4)}.part"
+    part = hidden(path.name, "part")
     ours = None
     with _unnamed(data, folder) as whole:
         try:

@@ -16,7 +16,6 @@ import fcntl
 import json
 import os
 import re
-import secrets
 import stat
 import time
 from collections.abc import Collection, Iterator, Mapping
@@ -27,11 +26,14 @@ from calib.foundations.errors import CalibError, OutputError
 from calib.foundations.files import (
     create,
     encoded,
+    hidden,
     is_regular,
     lstat,
     names_in,
     names_to_disk,
+    nearest_folder,
     opened_folder,
+    refuse_long,
     refuse_taken,
 )
 
@@ -136,9 +138,10 @@ def real_folder(path: Path) -> Path:
 def refuse_unwritable(path: Path) -> None:
     """Raise OutputError for a folder that cannot be made or written; what only the attempt shows, the attempt tells."""
     with _telling(path, "cannot hold the results"):
-        parent = next(folder for folder in path.absolute().parents if folder.exists())
+        parent = nearest_folder(path)
         if not parent.is_dir():
             raise OutputError(f"{path}: cannot be made, as {parent} is a file.")
+        refuse_long(path)
         if path.exists() and not path.is_dir():
             raise OutputError(f"{path}: is a file, and the results need a folder.")
         for folder in (parent, path):
@@ -216,7 +219,7 @@ def _write(place: _Place, files: Mapping[str, bytes | str], older: Collection[st
 @contextlib.contextmanager
 def _begun(place: _Place, listed: Collection[str]) -> Iterator[_Work]:
     """Make a hidden folder, which only this user can enter; in the end nothing is left of it."""
-    name = f".{place.name}.{secrets.token_hex(4)}.calib"
+    name = hidden(place.name, "calib")
     os.mkdir(name, 0o700, dir_fd=place.above)
     with contextlib.ExitStack() as closing:
         try:

@@ -14,7 +14,7 @@ import pytest
 from calib.foundations import folders
 from calib.foundations.errors import OutputError
 from calib.foundations.files import opened_folder
-from calib.foundations.folders import reading_folder, write_folder
+from calib.foundations.folders import reading_folder, refuse_unwritable, write_folder
 from tests.support.swaps import OURS, at_operation, fill, left, swap
 
 OLD = dict.fromkeys(OURS, "old")
@@ -210,6 +210,13 @@ def test_write_folder_says_why_it_cannot(tmp_path: Path) -> None:
             write_folder(out, NEW, OURS)
         assert str(caught.value) == f"{out}: {why}"
     assert (names(tmp_path), file.read_text()) == (["file", "link"], "mine")
+
+
+def test_the_root_is_a_folder_as_others() -> None:
+    """It has no folder above, and no name."""
+    refuse_unwritable(Path("/"))
+    with pytest.raises(OutputError, match=r"^/: already exists"):
+        write_folder(Path("/"), {"a": "b"})
 
 
 def test_a_new_folder_never_takes_the_place_of_another(tmp_path: Path) -> None:
