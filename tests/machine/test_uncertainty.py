@@ -32,13 +32,19 @@ UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 
 
 def fitted(
-    name: tuple[str, str] = UR10, observes: str = "position", seed: int = 0, *, exact: bool = False, **options: object
+    name: tuple[str, str] = UR10,
+    observes: str = "position",
+    seed: int = 0,
+    *,
+    rows: int = 80,
+    exact: bool = False,
+    **options: object,
 ) -> tuple[calib.Fit, Machine, machines.Arm]:
     rng = np.random.default_rng(seed)
     robot, arm = machines.load(*name), machines.arm(*name)
     built = arm if exact else arm.moved(rng)
     true = Machine(built, anywhere(rng), {"tool": pose((0.05, 0.02, 0.15), (0.3, -0.2, 0.4))})
-    data = true.measure(robot, arm.draw(rng, 80), observes, rng=rng, sigma=5e-5, sigma_angle=1e-4)
+    data = true.measure(robot, arm.draw(rng, rows), observes, rng=rng, sigma=5e-5, sigma_angle=1e-4)
     chosen = {"offsets": "all", "placements": "all", "tool": "pose" if observes == "pose" else "position"} | options
     return calib.identify(machines.model(robot, **chosen), data), true, arm
 
@@ -223,6 +229,15 @@ def test_the_file_gives_back_what_the_fit_knows(tmp_path: Path, options: dict[st
     assert model.uncertainty.position == machine_of(fit).known_uncertainty.position
     assert model.uncertainty.orientation is None
     np.testing.assert_array_equal(model.uncertainty.identified, machine_of(fit).known_uncertainty.identified)
+
+
+def test_a_file_of_poses_that_leave_less_than_one_number_of_positions_is_read(tmp_path: Path) -> None:
+    """Six poses have six numbers more than parameters, nearly all of them of turns."""
+    fit, _, _ = fitted(observes="pose", rows=6)
+    assert 0.0 < fit.noise[0].degrees_of_freedom < 1.0
+    model = calib.load_machine(written(fit, tmp_path))
+    assert model.uncertainty is not None
+    assert model.uncertainty.position.degrees_of_freedom == 1.0
 
 
 def test_a_file_of_the_first_schema_is_read(tmp_path: Path) -> None:
