@@ -8,7 +8,7 @@ its standard deviation grows to a. After Rasmussen and Williams, *Gaussian proce
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -32,6 +32,7 @@ from calib.machine.grid import (
     residual_bytes,
 )
 from calib.machine.npz import NotReadableError
+from calib.machine.turns import turned_towards
 from calib.robot.robot import Reading
 
 Dimension = Literal["angle", "length"]
@@ -91,7 +92,7 @@ class GaussianResiduals:
     ``readings``: all joints of the robot, in the order of its readings, and ``joints``: numbers of the k that errors
     follow. ``points`` (n, k): where in rad and m the ``errors`` (n, 3) were measured, in m, in the axes of ``frame``.
     ``factor`` (n, n), ``weights`` (n, 3): lower Cholesky factor of the covariance of the rows, and its inverse times
-    the errors.
+    the errors. ``turning``: of all joints, or none, whether a whole turn brings them back.
     """
 
     __repr__ = brief
@@ -104,6 +105,7 @@ class GaussianResiduals:
     kernel: Kernel
     factor: Array
     weights: Array
+    turning: tuple[bool, ...] = ()
 
     @property
     def rows(self) -> int:
@@ -155,7 +157,7 @@ class GaussianResiduals:
 
     def own_errors(self, readings: Array, noise: float) -> Array:  # noqa: ARG002 - it has found its own
         """Return a factor (N, N) of the covariance of the true errors given the rows, whose diagonal is of sigma."""
-        points = np.asarray(readings, dtype=np.float64)[:, list(self.joints)]
+        points = self._points(readings)
         known = scipy.linalg.solve_triangular(self.factor, self.kernel.between(self.points, points), lower=True)
         values, vectors = np.linalg.eigh(self.kernel.between(points, points) - known.T @ known)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
@@ -165,8 +167,14 @@ class GaussianResiduals:
         """What :meth:`at` returns far from all rows."""
         return "the predicted error fades to zero"
 
-    def _blocks(self, readings: Array) -> list[Array]:
+    def _points(self, readings: Array) -> Array:
+        """Return where readings (N, nr) are among the rows (N, k): beyond all of them, maybe some turns away."""
         points = np.asarray(readings, dtype=np.float64)[:, list(self.joints)]
+        ends = self.points.min(axis=0), self.points.max(axis=0)
+        return turned_towards(points, *ends, [self.turning[j] for j in self.joints] if self.turning else False)
+
+    def _blocks(self, readings: Array) -> list[Array]:
+        points = self._points(readings)
         return [points[n : n + _BLOCK] for n in range(0, len(points), _BLOCK)]
 
 
@@ -204,7 +212,8 @@ def gaussian_from_residuals(
     with one_thread():
         kernel = likeliest_kernel(points, errors)
         dimensions = tuple((reading.name, reading.dimension) for reading in robot_readings)
-        return _trained(dimensions, tuple(numbers), points, errors, frame, kernel)
+        found = _trained(dimensions, tuple(numbers), points, errors, frame, kernel)
+    return replace(found, turning=tuple(reading.turns for reading in robot_readings))
 
 
 def in_row_order(points: Array, errors: Array) -> tuple[Array, Array]:

@@ -7,9 +7,9 @@ at the nodes, measured minus predicted, are kept in the axes of the base or of t
 import io
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, Protocol, TypeVar, cast
+from typing import Any, ClassVar, Final, Literal, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from calib.foundations.files import read_bytes
 from calib.foundations.units import DISPLAY_OF
 from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.machine.run import refuse_other_run
+from calib.machine.turns import turned_towards
 from calib.robot.robot import Reading
 
 Frame = Literal["base", "tip"]
@@ -56,7 +57,8 @@ class SectorGrid:
     ``readings``: all joints of the robot, in the order of its readings, and ``joints``: numbers of those that the grid
     spans, each with its nodes in ``axes``, ascending, in rad or m. ``reference`` (nr): where the other joints stood;
     NaN for those of the grid. ``errors`` (n_1, ..., n_k, 3): in m, in the axes of ``frame``; where ``measured``
-    (n_1, ..., n_k) is false, those of the nearest measured node.
+    (n_1, ..., n_k) is false, those of the nearest measured node. ``turning``: of all joints, or none, whether a whole
+    turn brings them back; their readings are inside if they are so some whole turns away.
     """
 
     __repr__ = brief
@@ -68,6 +70,7 @@ class SectorGrid:
     errors: Array
     measured: BoolArray
     frame: Frame
+    turning: tuple[bool, ...] = ()
 
     @property
     def rows(self) -> int:
@@ -124,8 +127,8 @@ class SectorGrid:
         return tuple("" if covered[n] else self._reason(readings[n]) for n in range(len(readings)))
 
     def _reason(self, row: Array) -> str:
-        for j, axis in zip(self.joints, self.axes, strict=True):
-            if not _within(row[j], axis):
+        for point, j, axis in zip(self._points(row[None])[0], self.joints, self.axes, strict=True):
+            if not _within(point, axis):
                 name, dimension = self.readings[j]
                 low, high = (_said(value, dimension) for value in (axis[0], axis[-1]))
                 return f"{name} at {_said(row[j], dimension)} is outside the grid, from {low} to {high}"
@@ -136,12 +139,21 @@ class SectorGrid:
         )
         return f"the cell {cell} has a corner that was not measured"
 
-    def _clipped(self, readings: Array) -> Array:
+    def _points(self, readings: Array) -> Array:
+        """Return the readings (N, nr) of the grid's joints (N, k), turned towards it where they are outside."""
         points = np.asarray(readings, dtype=np.float64)[:, list(self.joints)]
-        return np.asarray(np.clip(points, [axis[0] for axis in self.axes], [axis[-1] for axis in self.axes]))
+        return turned_towards(points, *self._ends, [self.turning[j] for j in self.joints] if self.turning else False)
+
+    @property
+    def _ends(self) -> tuple[Array, Array]:
+        return np.array([axis[0] for axis in self.axes]), np.array([axis[-1] for axis in self.axes])
+
+    def _clipped(self, readings: Array) -> Array:
+        return np.asarray(np.clip(self._points(readings), *self._ends))
 
     def _covered(self, readings: Array) -> BoolArray:
-        inside = np.all([_within(readings[:, j], axis) for j, axis in zip(self.joints, self.axes, strict=True)], axis=0)
+        points = self._points(readings).T
+        inside = np.all([_within(own, axis) for own, axis in zip(points, self.axes, strict=True)], axis=0)
         if not self.measured.all():
             # A missing node counts only where it has weight: the faces of a whole cell belong to it.
             missing = self._multilinear((~self.measured).astype(np.float64), self._clipped(readings))
@@ -260,6 +272,7 @@ def grid_from_residuals(
         read_only(filled),
         read_only_view(measured),
         frame,
+        tuple(reading.turns for reading in robot_readings),
     )
 
 
@@ -409,6 +422,8 @@ def load_grid(path: str | Path, robot_readings: Sequence[Reading] | None = None)
 
 
 class _OfReadings(Protocol):
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
     @property
     def readings(self) -> tuple[tuple[str, Literal["angle", "length"]], ...]: ...
 
@@ -435,7 +450,8 @@ def load_residuals(
         theirs, ours = (", ".join(name for name, _ in known.readings), ", ".join(r.name for r in robot_readings))
         raise OutputError(f"{path}: is {names[1]} a robot with the joints {theirs}, and this one has {ours}.")
     refuse_other_run(Path(path), run)
-    return known
+    # What follows a joint the file does not say, and the robot does.
+    return known if robot_readings is None else replace(known, turning=tuple(r.turns for r in robot_readings))
 
 
 def _run_in(array: npt.NDArray[Any] | None) -> str | None:

@@ -22,6 +22,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.grid import axes_of
 from calib.machine.residual_model import ResidualModel
 from calib.machine.tool_motion import jacobian_of
+from calib.machine.turns import turned_towards
 from calib.machine.uncertainty import CAUSES, ToolUncertainty, Uncertainty, UncertaintyMap
 from calib.machine.winding import ReadingErrors
 from calib.measurement.conditions import refuse_lacking
@@ -357,19 +358,16 @@ def _readings(machine: CalibratedMachine, readings: npt.ArrayLike) -> Array:
 def outside_identified(machine: CalibratedMachine, readings: Array) -> tuple[str, ...]:
     """Return, for every joint whose readings (N, nr) leave the range it was identified in, one sentence.
 
-    A reading leaves the range if it is beyond the outermost pose by more than a twentieth of the range; whole turns of
-    a revolute joint do not count. A model is only proven where it was measured: outside, the stated sigmas hold only if
-    the model is right. Raises MeasurementError for readings of another shape.
+    A reading leaves the range if it is beyond the outermost pose by more than a twentieth of the range; whole turns do
+    not count where they bring back all that follows the reading. A model is only proven where it was measured: outside,
+    the stated sigmas hold only if the model is right. Raises MeasurementError for readings of another shape.
     """
     said = []
     readings = _readings(machine, readings)
     low, high = machine.known_uncertainty.identified.T
     slack = 0.05 * (high - low)
     for j, reading in enumerate(machine.robot.readings):
-        values = readings[:, j]
-        if reading.dimension == "angle":
-            middle = 0.5 * (low[j] + high[j])
-            values = values - 2.0 * np.pi * np.round((values - middle) / (2.0 * np.pi))
+        values = turned_towards(readings[:, j], low[j], high[j], reading.turns)
         beyond = np.maximum(low[j] - slack[j] - values, values - high[j] - slack[j])
         if np.any(beyond > 0.0):
             worst = int(np.argmax(beyond))

@@ -260,7 +260,17 @@ def _couple(
     for i, (multiples, _) in enumerate(rows):
         for name, multiple in multiples.items():
             coupling[i, names.index(name)] = multiple
-    return tuple(readings), coupling, np.array([offset for _, offset in rows])
+    read = tuple(replace(r, turns=_turns(r, coupling[:, k], moving, passive)) for k, r in enumerate(readings))
+    return read, coupling, np.array([offset for _, offset in rows])
+
+
+def _turns(reading: Reading, multiples: Array, moving: Sequence[UrdfJoint], passive: Sequence[str]) -> bool:
+    """Return whether a whole turn of a reading brings back all joints, which follow it by ``multiples`` (nj)."""
+    # Passive joints go where their loops close.
+    return reading.dimension == "angle" and all(
+        joint.name in passive or (multiple == 0.0 if joint.type == "prismatic" else multiple == np.rint(multiple))
+        for joint, multiple in zip(moving, multiples, strict=True)
+    )
 
 
 def _drivers(

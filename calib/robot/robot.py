@@ -40,13 +40,15 @@ _AT_BASE, _NOTHING = read_only(np.eye(4)[None]), read_only(np.zeros((6, 6)))
 class Reading:
     """One number that the machine reports for every pose: an encoder reading, named after its URDF joint.
 
-    ``lower`` and ``upper`` are the joint's limits in rad or m, None where the URDF sets none.
+    ``lower`` and ``upper`` are the joint's limits in rad or m, None where the URDF sets none. ``turns``: whether one
+    whole turn more brings every joint that follows it back to where it was.
     """
 
     name: str
     dimension: Literal["angle", "length"]
     lower: float | None
     upper: float | None
+    turns: bool = False
 
 
 @dataclass(frozen=True, slots=True)

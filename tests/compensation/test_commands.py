@@ -510,6 +510,20 @@ def test_without_a_start() -> None:
 # ---- residuals
 
 
+def test_a_grid_holds_in_every_turn_of_a_joint_within_its_limits() -> None:
+    model = model_of(robot_of("ur10"))
+    model = replace(model, residual_model=residual_grid(model.robot, "base"))
+    readings = draw(model.robot, 6, share=0.3)
+    readings = readings[[not said for said in model.residual_model.outside(readings)]]
+    other = readings - 2.0 * np.pi * np.sign(readings) * (np.arange(6) == 0)
+    low, high = inverse.limits(model.robot.readings)
+    assert len(readings) and ((low < other) & (other < high)).all()
+    one, turned = (commands.for_joint_targets(model, some) for some in (readings, other))
+    assert one.reached.all() and turned.reached.all()
+    assert np.abs(turned.change - one.change).max() < 1e-9
+    assert np.abs(model.tips(turned.readings) - model.tips(one.readings)).max() < 1e-9
+
+
 def residual_grid(robot: calib.Robot, frame: grid.Frame) -> grid.SectorGrid:
     axes = [np.linspace(-1.0, 1.0, 5), np.linspace(-1.2, 0.8, 4)]
     rows = np.zeros((20, len(robot.readings)))

@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +155,16 @@ def test_far_from_all_rows_it_fades_to_zero_and_says_so(known: GaussianResiduals
     first = next(n for n, word in enumerate(words) if word)
     assert all(words[first:])
     assert known.at(np.zeros((0, 3))).shape == (0, 3)
+
+
+def test_whole_turns_are_not_far_where_they_bring_back_all_that_follows(known: GaussianResiduals) -> None:
+    turning = replace(known, turning=(True, False, False))
+    points = draw(5, 4)
+    away = points + 2.0 * np.pi * np.outer([1, -1, 2, -2, 1], [1, 0, 0])
+    assert np.abs(turning.at(away) - known.at(points)).max() < 1e-12
+    assert np.abs(turning.sigma(away) - known.sigma(points)).max() < 1e-12
+    assert np.abs(turning.own_errors(away, NOISE) - known.own_errors(points, NOISE)).max() < 1e-9
+    assert all(known.outside(away))
 
 
 def test_the_order_of_rows_does_not_matter(known: GaussianResiduals) -> None:

@@ -4,6 +4,7 @@ import io
 import itertools
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +121,24 @@ def test_outside() -> None:
     edge = points.copy()
     edge[1, 0], edge[2, 1] = np.radians(60.0), 0.1
     assert np.abs(known.at(points, clamp=True) - known.at(edge)).max() < 1e-12
+
+
+def test_whole_turns_do_not_lead_out_of_it_where_they_bring_back_all_that_follows(tmp_path: Path) -> None:
+    rows = nodes()
+    turning = [replace(reading, turns=reading.name == "j1") for reading in READINGS]
+    known = grid_from_residuals(rows, multilinear(rows), turning, JOINTS)
+    (tmp_path / "grid.npz").write_bytes(grid.grid_bytes(known))
+    points = inside(4)
+    away = points + 2.0 * np.pi * np.outer([0, 1, -1, 2], [1, 0, 0, 0])
+    for one in (known, load_grid(tmp_path / "grid.npz", turning)):
+        assert np.abs(one.at(away) - one.at(points)).max() < 1e-15
+        assert one.outside(away) == ("",) * 4
+        assert np.abs(one.leaning(away).weights - one.leaning(points).weights).max() < 1e-12
+    beyond = away[1:2].copy()
+    beyond[0, 0] = 2.0 * np.pi + np.radians(61.0)
+    assert known.outside(beyond) == ("j1 at 421 deg is outside the grid, from -60 deg to 60 deg",)
+    # What follows j1 by half, say, is elsewhere after one turn.
+    assert all(made().outside(away)[1:])
 
 
 def test_missing_nodes() -> None:

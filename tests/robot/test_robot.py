@@ -214,3 +214,21 @@ def test_readings_of_any_precision_are_reckoned_with_in_full(kind: type[np.gener
     robot = load_robot("example:ur_description/urdf/ur10_robot.urdf", "tool0")
     given = np.array([[0, 1, 0, 1, 1, 0], [1, 0, 1, 0, 0, 1]]).astype(kind)
     assert robot.tips(given).tolist() == robot.tips(given.astype(np.float64)).tolist()
+
+
+def test_which_readings_turn() -> None:
+    """Readings that a whole turn leads back, and those that drive by other ratios, or what slides, are told apart."""
+    links = "".join(f'<link name="{name}"/>' for name in ("base", "a", "b", "c", "d", "tip"))
+    joints = "".join(
+        f'<joint name="{name}" type="{kind}"><parent link="{before}"/><child link="{after}"/><axis xyz="0 0 1"/>'
+        f'<limit lower="-7" upper="7" effort="1" velocity="1"/>{follows}</joint>'
+        for name, kind, before, after, follows in (
+            ("whole", "revolute", "base", "a", ""),
+            ("half", "continuous", "a", "b", ""),
+            ("slide", "prismatic", "b", "c", ""),
+            ("by_whole", "revolute", "c", "d", '<mimic joint="whole" multiplier="-2"/>'),
+            ("by_half", "revolute", "d", "tip", '<mimic joint="half" multiplier="0.5"/>'),
+        )
+    )
+    robot = load_robot(parse_urdf(f'<robot name="r">{links}{joints}</robot>'.encode(), "r"), "tip")
+    assert {r.name: r.turns for r in robot.readings} == {"whole": True, "half": False, "slide": False}
