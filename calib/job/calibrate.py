@@ -37,10 +37,10 @@ def calibrated(job: Path, out: Path, progress: Progress, expect: Callable[[int],
     """Do what :func:`calibrate` does; return the report that was written as well."""
     with one_thread():
         inputs = load(job, progress)
-        refuse_folder(out, inputs.files)
+        meant = refuse_folder(out, inputs.files)
         expect(steps_after_loading(inputs))
         found = run(inputs, progress)
-        return found, write_results(found, out, progress)
+        return found, write_results(found, out, progress, meant=meant)
 
 
 def steps_after_loading(inputs: Inputs) -> int:

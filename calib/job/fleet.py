@@ -24,6 +24,7 @@ from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes, sha256
 from calib.foundations.folders import reading_folder, real_folder, refuse_unwritable
 from calib.foundations.json_text import NotJsonError, parse_json
+from calib.foundations.version import __version__
 from calib.job.calibrate import calibrate
 from calib.job.read import Progress
 from calib.results.calibration import versions
@@ -72,7 +73,7 @@ def fleet_jobs(paths: Sequence[Path], out: Path) -> tuple[FleetJob, ...]:
 
     A job is called as its file; of ``calibration.toml`` or ``calibration_fast.toml`` in the folder ``ur10`` that is
     ``ur10`` and ``ur10_fast``. Raises JobError when a job has no usable name or two would be written to one folder,
-    OutputError when ``out`` cannot take the summary.
+    OutputError when ``out`` cannot take the summary, or has a link where a folder of results belongs.
     """
     found: dict[str, FleetJob] = {name: FleetJob(out / name, name, out / name) for name in SUMMARIES}
     for path in paths:
@@ -88,7 +89,16 @@ def fleet_jobs(paths: Sequence[Path], out: Path) -> tuple[FleetJob, ...]:
             raise JobError(f"{found[key].path} and {path}: both would be written to {out / name}; rename one of them.")
         found[key] = FleetJob(path, name, out / name)
     _refuse_fleet(out)
-    return tuple(found.values())[len(SUMMARIES) :]
+    jobs = tuple(found.values())[len(SUMMARIES) :]
+    for job in jobs:
+        _refuse_link(job)
+    return jobs
+
+
+def _refuse_link(job: FleetJob) -> None:
+    """Raise OutputError where a folder of results is a link: the folder of the fleet was named, and not the other."""
+    if job.out.is_symlink():
+        raise OutputError(f"{job.out}: is a link, and results would replace what it leads to; remove it.")
 
 
 def _refuse_fleet(out: Path) -> None:
@@ -213,6 +223,7 @@ def _one(job: FleetJob, folder: str) -> Done:
     except OSError as e:
         return Done(job, f"{job.path}: its process does not see {folder} ({e.strerror}); workers need the same files.")
     try:
+        _refuse_link(job)
         calibrate(job.path, job.out)
     except CalibError as e:
         return Done(job, str(e))
@@ -221,6 +232,15 @@ def _one(job: FleetJob, folder: str) -> Done:
             job, f"{job.path}: met a fault of this program ({type(e).__name__}: {e}); calib calibrate shows it."
         )
     return Done(job)
+
+
+def _on_worker(job: FleetJob, folder: str, version: str) -> Done:
+    """Calibrate one job on a worker of a cluster, which has to be of the ``version`` that asks it to."""
+    if version != __version__:
+        return Done(
+            job, f"{job.path}: its worker has version {__version__} of this tool, not {version}; install it there."
+        )
+    return _one(job, folder)
 
 
 @contextmanager
@@ -342,7 +362,8 @@ def _on_cluster(client: Any, address: str, jobs: Sequence[FleetJob]) -> Generato
 
     folder = str(Path.cwd())
     waiting = {
-        client.submit(_one, job, folder, pure=False, key=f"calib-{k}-{job.name}"): job for k, job in enumerate(jobs)
+        client.submit(_on_worker, job, folder, __version__, pure=False, key=f"calib-{k}-{job.name}"): job
+        for k, job in enumerate(jobs)
     }
     last_seen = time.monotonic()
     try:

@@ -111,9 +111,18 @@ def _refuse_foreign(folder: Path) -> None:
         raise OutputError(f"{folder}: is not empty and holds no whole results of this tool; choose another folder.")
 
 
-def write_results(found: Calibration, out: Path, progress: Callable[[str], None] = lambda _: None) -> Report:
-    """Write the folder of results, and return its report; on any error the folder stays as it was."""
-    out = refuse_folder(out, found.origin.files)  # a link stays a link: what it points to is replaced
+def write_results(
+    found: Calibration, out: Path, progress: Callable[[str], None] = lambda _: None, *, meant: Path | None = None
+) -> Report:
+    """Write the folder of results, and return its report; on any error the folder stays as it was.
+
+    ``meant``: to what ``out`` led when the work began, by :func:`refuse_folder`. Raises OutputError where it leads
+    elsewhere now: that folder was never asked for.
+    """
+    given, out = out, real_folder(out)  # a link stays a link: what it points to is replaced
+    if meant not in (None, out):
+        raise OutputError(f"{given}: leads to {out} now, and led to {meant} when the work began; run it again.")
+    refuse_folder(out, found.origin.files)
     progress("writing the calibrated URDF")
     machine = machine_files(found.machine)
     progress("drawing the scene")

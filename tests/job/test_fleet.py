@@ -195,6 +195,19 @@ def test_folders_that_cannot_take_a_summary(folder: Path, monkeypatch: pytest.Mo
         fleet_jobs([], folder / "a/b")
 
 
+def test_a_folder_of_a_job_that_is_a_link_is_not_followed(folder: Path) -> None:
+    """Also where it is made while others run."""
+    assert run("calibrate", "jobs/plain.toml", "-o", "precious", "-q").code == 0
+    before = tree(folder / "precious")
+    (job,) = fleet_jobs([Path("jobs/plain.toml")], Path("fleet"))
+    (folder / "fleet").mkdir()
+    (folder / "fleet/plain").symlink_to("../precious")
+    why = "fleet/plain: is a link, and results would replace what it leads to; remove it."
+    assert run("fleet", "jobs/plain.toml") == (1, "", f"Error: {why}\n")
+    assert fleets._one(job, str(folder)) == Done(job, why)
+    assert tree(folder / "precious") == before
+
+
 def test_a_fleet_that_cannot_be_written_leaves_no_empty_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -356,6 +369,18 @@ def test_on_a_dask_cluster_the_same_bytes(folder: Path) -> None:
     for name in ("plain", "fewer"):
         assert run("calibrate", f"jobs/{name}.toml", "-o", f"single/{name}", "-q").code == 0
         assert tree(folder / "fleet" / name) == tree(folder / "single" / name)
+
+
+def test_a_worker_of_another_version_writes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, host="127.0.0.1", **QUIET) as cluster:
+        ours = fleets.__version__
+        monkeypatch.setattr(fleets, "__version__", "9.0")
+        said = run("fleet", *jobs(GOOD[0]), "--dask", cluster.scheduler_address)
+    assert said.code == 1
+    why = f"jobs/plain.toml: its worker has version {ours} of this tool, not 9.0; install it there."
+    assert why in " ".join(said.out.split())
+    assert not (folder / "fleet/plain").exists()
 
 
 def alive(pids: list[int]) -> list[int]:

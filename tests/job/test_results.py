@@ -13,6 +13,7 @@ import yourdfpy
 
 import calib
 from calib.foundations.errors import OutputError
+from calib.job.calibrate import calibrated
 from calib.job.inputs import load
 from calib.job.run import run as identify
 from calib.results import calibration
@@ -225,6 +226,18 @@ def test_link_to_results_stays_a_link(outcome: Calibration, tmp_path: Path) -> N
     write_results(outcome, tmp_path / "out")
     assert (tmp_path / "out").is_symlink()
     assert sorted(path.name for path in (tmp_path / "real").iterdir()) == FILES
+
+
+def test_a_folder_that_leads_elsewhere_after_the_work_is_left_alone(
+    case: Path, outcome: Calibration, tmp_path: Path
+) -> None:
+    """Whoever puts a link in its place while a calibration runs does not choose what is replaced."""
+    write_results(outcome, tmp_path / "precious")
+    (tmp_path / "precious/report.md").write_text("old")
+    before = tree(tmp_path / "precious")
+    with pytest.raises(OutputError, match=r"out: leads to .*precious now, and led to .*out when the work began; "):
+        calibrated(case / JOB, tmp_path / "out", lambda _: None, lambda _: (tmp_path / "out").symlink_to("precious"))
+    assert tree(tmp_path / "precious") == before
 
 
 def test_folders_on_the_way_are_made(outcome: Calibration, tmp_path: Path) -> None:
