@@ -18,6 +18,7 @@ from calib.job.chains import Chain, chains
 from calib.job.foreign.answers import Answers, AskedError, ask, run_of
 from calib.job.foreign.reader import read
 from calib.job.proposal import Proposal, ProposedTable, table_lines
+from calib.measurement.columns import refuse_joints_like_columns
 from calib.measurement.kinds import Kind
 from calib.measurement.orientations import ORIENTATIONS
 from calib.measurement.raw import raw_table
@@ -74,8 +75,11 @@ def propose(
             tables.append(ProposedTable(str(file), found.observes, found.columns, "identify", None, raw.count))
     except AskedError as asked:
         arm = robot or _some_robot(document, tip)
+        # No answer leads to a job of such an arm.
+        refuse_joints_like_columns((reading.name for reading in arm.readings), document.where)
         return Proposal(str(urdf), arm, tuple(tables), tuple(reasons), (asked.question,))
     assert robot is not None, "there are files"
+    refuse_joints_like_columns((reading.name for reading in robot.readings), document.where)
     if orientation is not None and all(table.columns.orientation is None for table in tables):
         raise JobError(
             f"orientation: {shown(orientation)} says what three angles or a matrix are, and no table has them; leave "

@@ -1,5 +1,6 @@
 """What ``calib init`` asks a person at a terminal, and what it makes of the answers."""
 
+import itertools
 import os
 import pty
 import subprocess
@@ -10,7 +11,9 @@ from typing import NamedTuple
 
 import pytest
 
+import calib
 from tests.proposal.twins import TWINS
+from tests.support.machines import urdf
 from tests.support.people import UR10
 
 OF = {twin.name: twin for twin in TWINS}
@@ -92,3 +95,15 @@ def test_nobody_is_asked(tmp_path: Path, option: str) -> None:
     os.close(ours)
     os.close(theirs)
     assert (done.returncode, b"Which" in done.stderr) == (1, False)
+
+
+@pytest.mark.parametrize("titles", ["jx [mm],jy [mm],jz [mm],x,y,z", "x,y,z,mx,my,mz", "q1 [mm],q2 [mm],q3 [mm],x,y,z"])
+def test_nothing_is_asked_of_an_arm_whose_joints_are_called_as_columns(titles: str, tmp_path: Path) -> None:
+    """No answer would make a job of it, as of a gantry with the joints x, y and z."""
+    axes = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
+    text = urdf(*((name, "prismatic", "0 0 0.1", "0 0 0", axis) for name, axis in axes.items()))
+    (tmp_path / "gantry.urdf").write_text(text, encoding="utf-8")
+    rows = "".join(f"{a},{b},{c},{a},{b},{c + 300}\n" for a, b, c in itertools.product((10, 220, 430), repeat=3))
+    (tmp_path / "table.csv").write_text(f"{titles}\n{rows}", encoding="utf-8")
+    with pytest.raises(calib.MeasurementError, match="joint 'x' has the name of a measured column; rename the joint"):
+        calib.measuring.propose(tmp_path / "gantry.urdf", [tmp_path / "table.csv"])
