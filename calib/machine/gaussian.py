@@ -32,7 +32,7 @@ from calib.machine.grid import (
     residual_bytes,
 )
 from calib.machine.npz import NotReadableError
-from calib.machine.turns import turned_towards
+from calib.machine.turns import points_of
 from calib.robot.robot import Reading
 
 Dimension = Literal["angle", "length"]
@@ -168,10 +168,8 @@ class GaussianResiduals:
         return "the predicted error fades to zero"
 
     def _points(self, readings: Array) -> Array:
-        """Return where readings (N, nr) are among the rows (N, k): beyond all of them, maybe some turns away."""
-        points = np.asarray(readings, dtype=np.float64)[:, list(self.joints)]
-        ends = self.points.min(axis=0), self.points.max(axis=0)
-        return turned_towards(points, *ends, [self.turning[j] for j in self.joints] if self.turning else False)
+        """Return the readings (N, nr) of its joints (N, k), turned towards the rows where beyond all of them."""
+        return points_of(readings, self.joints, self.points.min(axis=0), self.points.max(axis=0), self.turning)
 
     def _blocks(self, readings: Array) -> list[Array]:
         points = self._points(readings)

@@ -21,7 +21,7 @@ from calib.foundations.files import read_bytes
 from calib.foundations.units import DISPLAY_OF
 from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.machine.run import refuse_other_run
-from calib.machine.turns import turned_towards
+from calib.machine.turns import points_of
 from calib.robot.robot import Reading
 
 Frame = Literal["base", "tip"]
@@ -141,8 +141,7 @@ class SectorGrid:
 
     def _points(self, readings: Array) -> Array:
         """Return the readings (N, nr) of the grid's joints (N, k), turned towards it where they are outside."""
-        points = np.asarray(readings, dtype=np.float64)[:, list(self.joints)]
-        return turned_towards(points, *self._ends, [self.turning[j] for j in self.joints] if self.turning else False)
+        return points_of(readings, self.joints, *self._ends, self.turning)
 
     @property
     def _ends(self) -> tuple[Array, Array]:

@@ -166,5 +166,5 @@ def _level(fit: Fit, errors: ErrorsByCause, unit: str) -> NoiseLevel | None:
     model = mean([_beyond((share * noise.total) ** 2, noise) for noise, share, _ in parts])
     estimated = any(noise.model > 0.0 or repeated for noise, _, repeated in parts)
     # The estimate of the total has the freedom of the residuals; where nothing had to be added, it is not an estimate.
-    # Of positions and turns of few poses, parameters may leave less than one number of either.
+    # Few poses may leave less than one degree of freedom to positions, or to orientations.
     return NoiseLevel(model, total, max(float(freedom.sum()), 1.0) if estimated else float("inf"))
