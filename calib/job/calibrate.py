@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from calib.foundations.arguments import checked
+from calib.foundations.folders import real_folder
 from calib.foundations.linear import one_thread
 from calib.job.inputs import Inputs, load
 from calib.job.read import Progress
@@ -36,8 +37,9 @@ def calibrate(
 def calibrated(job: Path, out: Path, progress: Progress, expect: Callable[[int], None]) -> tuple[Calibration, Report]:
     """Do what :func:`calibrate` does; return the report that was written as well."""
     with one_thread():
+        meant = real_folder(out)
         inputs = load(job, progress)
-        meant = refuse_folder(out, inputs.files)
+        refuse_folder(meant, inputs.files)
         expect(steps_after_loading(inputs))
         found = run(inputs, progress)
         return found, write_results(found, out, progress, meant=meant)

@@ -228,15 +228,21 @@ def test_link_to_results_stays_a_link(outcome: Calibration, tmp_path: Path) -> N
     assert sorted(path.name for path in (tmp_path / "real").iterdir()) == FILES
 
 
+@pytest.mark.parametrize("loading", [True, False])
 def test_a_folder_that_leads_elsewhere_after_the_work_is_left_alone(
-    case: Path, outcome: Calibration, tmp_path: Path
+    case: Path, outcome: Calibration, tmp_path: Path, loading: bool
 ) -> None:
-    """Whoever puts a link in its place while a calibration runs does not choose what is replaced."""
+    """Whoever puts a link in its place while a calibration loads or runs does not choose what is replaced."""
+
+    def put_link(now: bool) -> None:
+        if now and not (tmp_path / "out").is_symlink():
+            (tmp_path / "out").symlink_to("precious")
+
     write_results(outcome, tmp_path / "precious")
     (tmp_path / "precious/report.md").write_text("old")
     before = tree(tmp_path / "precious")
     with pytest.raises(OutputError, match=r"out: leads to .*precious now, and led to .*out when the work began; "):
-        calibrated(case / JOB, tmp_path / "out", lambda _: None, lambda _: (tmp_path / "out").symlink_to("precious"))
+        calibrated(case / JOB, tmp_path / "out", lambda _: put_link(loading), lambda _: put_link(not loading))
     assert tree(tmp_path / "precious") == before
 
 
