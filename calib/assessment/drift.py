@@ -214,6 +214,11 @@ def _together(old: Uncertainty, new: Uncertainty, d: Array, free: BoolArray) -> 
 
 def _common_readings(old: CalibratedMachine, new: CalibratedMachine, seed: int) -> Array:
     before, after = old.known_uncertainty.identified, new.known_uncertainty.identified
+    # The same readings, told in another turn, are a range in common.
+    turning = np.array([reading.turns for reading in old.robot.readings])[:, None]
+    turn = 2.0 * np.pi
+    away = np.round((after.mean(axis=1, keepdims=True) - before.mean(axis=1, keepdims=True)) / turn)
+    after = np.where(turning, after - turn * away, after)
     low, high = np.maximum(before[:, 0], after[:, 0]), np.minimum(before[:, 1], after[:, 1])
     # Where the two have no range in common, that of the new one.
     apart = (low > high)[:, None]

@@ -284,6 +284,17 @@ def test_a_zero_that_moved_is_named_with_what_it_does_at_the_tip() -> None:
     assert found.tip_max > found.tip_rms > 1e-4
 
 
+def test_readings_told_in_another_turn_are_a_range_in_common() -> None:
+    true = machine()[1]
+    before, after = (machine_of(calibrated(true, seed)) for seed in (1, 2))
+    turning = np.array([reading.turns for reading in before.robot.readings])[:, None]
+    assert turning.any()
+    known = after.known_uncertainty
+    turned = replace(after, uncertainty=replace(known, identified=known.identified + 2.0 * np.pi * turning))
+    at_tip = [compare(before, one).tip_rms for one in (after, turned)]
+    assert at_tip[1] == pytest.approx(at_tip[0], rel=1e-12)
+
+
 def test_calibrations_that_free_different_parameters_are_compared_at_the_tip() -> None:
     robot, true, _ = machine()
     some = calib.error_model(robot, offsets=["elbow_joint"])
