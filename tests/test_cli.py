@@ -180,11 +180,12 @@ def test_wishes_of_compensate_without_effect_are_told(folder: Path) -> None:
     lines = (folder / "validation.csv").read_text(encoding="utf-8").splitlines()
     joints = [line.rsplit(",", 3)[0] for line in lines if not line.startswith("#")]
     (folder / "targets.csv").write_text("\n".join(joints[:4]) + "\n", encoding="utf-8")
-    wishes = ("--frame", "instrument", "--clamp")
+    wishes = ("--frame", "instrument", "--clamp", "--in-order")
     said = run("compensate", "out", "targets.csv", "-o", "sent.csv", *wishes, "--json")
     notes = json.loads(said.out)["notes"]
     assert "--frame instrument has no effect" in notes[0]
     assert "--clamp has no effect" in notes[1]
+    assert "--in-order has no effect" in notes[2]
     assert json.loads(run("compensate", "out", "targets.csv", "-o", "again.csv", "--json").out)["notes"] == []
 
 

@@ -27,6 +27,9 @@ def compensate(
             help="Outside a residual grid use its nearest edge; far from rows of a Gaussian process, no correction.",
         ),
     ] = False,
+    in_order: Annotated[
+        bool, typer.Option("--in-order", help="Targets are visited in their order, which tells the side of approach.")
+    ] = False,
     telling: Telling = IN_WORDS,
 ) -> None:
     """Correct commands: joint targets, poses or positions.
@@ -46,7 +49,7 @@ def compensate(
     with telling.progress(steps=2) as say:
         say("reading the model and the targets")
         model = load_machine(results)
-        wanted = targets_of.read_targets(targets, model, tool)
+        wanted = targets_of.read_targets(targets, model, tool, in_order=in_order)
         # Which set-up it is matters for poses in the instrument's frame, and for what gives way under other loads.
         matters = (frame == "instrument" and wanted.poses is not None) or bool(model.robot.terms and model.robot.loads)
         model = model.standing(setup, str(results)) if matters else model.at(setup)

@@ -1,15 +1,17 @@
 """Commands out: the joint targets with which a calibrated machine goes where it should."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
 
 from calib.compensation.corrections import Corrections, better
 from calib.compensation.inverse import Asked, Effort, How, cut_short, limits, price, rowwise, solve
+from calib.compensation.order import by_order, unsided
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray
 from calib.foundations.choices import PoseFrame, What
 from calib.foundations.errors import JobError
 from calib.foundations.words import not_calibrated
@@ -34,6 +36,7 @@ def for_joint_targets(
     what: What = "pose",
     clamp: bool = False,
     conditions: Conditions = NO_CONDITIONS,
+    in_order: bool = False,
     tolerance: tuple[float, float] = (1e-6, 1e-6),
 ) -> Corrections:
     """Return the commands with which the calibrated machine goes where the nominal one would at readings (N, nr).
@@ -41,19 +44,28 @@ def for_joint_targets(
     The nominal machine has the same base and tool. ``tool``: one for all rows, or N. ``what``: reach the tool's whole
     pose, or its position alone, as arms of fewer than six joints need. Outside the range of the machine's residual
     model, rows are refused; with ``clamp`` they use the value at its edge, with a remark. A row is reached within
-    ``tolerance``, in m and rad. ``conditions`` of the rows: what joint terms need besides readings.
+    ``tolerance``, in m and rad. ``conditions`` of the rows: what joint terms need besides readings; with ``in_order``
+    without sides of approach: the rows are visited one after the other without overshoot, and the commands tell them.
 
     Raises JobError when an option or an array cannot be used, or a condition that a joint term needs is not given.
     """
     model = at_tip(model, tool)
     readings = _start(model, readings)
-    _refuse_unknown_conditions(model, conditions)
+    conditions = _conditions(model, conditions, len(readings), in_order)
     tools = _tools(model, tool, len(readings))
     nominal = TipModel(model.robot)
     tips, why = rowwise(nominal.tips, readings, (4, 4))
     reasons = ["" if not text else f"the nominal machine: {text}" for text in why]
     how = How(what, model.residual_model, clamp, tolerance, _REMARKABLE)
-    return solve(model, Asked(tips @ tools, tools, readings, tuple(reasons), conditions), how)
+
+    asked = Asked(tips @ tools, tools, readings, tuple(reasons), conditions)
+    if not in_order:
+        return solve(model, asked, how)
+
+    def correct(told: Conditions, rows: IntArray, _: Corrections | None) -> Corrections:
+        return solve(model, replace(asked, conditions=told).subset(rows), how)
+
+    return by_order(model.robot, readings, conditions, correct)
 
 
 @checked
@@ -66,6 +78,7 @@ def for_poses(
     frame: PoseFrame = "base",
     clamp: bool = False,
     conditions: Conditions = NO_CONDITIONS,
+    in_order: bool = False,
     tolerance: tuple[float, float] = (1e-6, 1e-6),
 ) -> Corrections:
     """Return the commands that bring the tool to poses (N, 4, 4), or to positions (N, 3) in any orientation.
@@ -83,7 +96,7 @@ def for_poses(
     if frame not in ("base", "instrument"):
         raise JobError(f"the frame of the poses is {frame!r}; allowed are base, instrument.")
     model = at_tip(model, tool)
-    _refuse_unknown_conditions(model, conditions)
+    conditions = _conditions(model, conditions, len(poses), in_order)
     what: What = "pose"
     if poses.ndim == 2:
         what, poses = "position", rigid.translation(poses)
@@ -99,7 +112,32 @@ def for_poses(
             raise JobError(
                 f"there are {len(start)} rows of readings to start from and {n} poses; there must be as many."
             )
-        return solve(model, Asked(poses, tools, start, ("",) * n, conditions), how)
+
+    def correct(told: Conditions, rows: IntArray, so_far: Corrections | None) -> Corrections:
+        # In the configuration that was found: another one would be reached from other sides.
+        begin = start if start is not None or so_far is None else so_far.readings
+        if begin is None:
+            return _from_anywhere(model, poses[rows], tools[rows], told.subset(rows), how)
+        return solve(model, Asked(poses, tools, begin, ("",) * n, told).subset(rows), how)
+
+    return by_order(model.robot, start, conditions, correct) if in_order else correct(conditions, np.arange(n), None)
+
+
+def at_tip(model: CalibratedMachine, tool: str | Sequence[str]) -> CalibratedMachine:
+    """Return the machine looked at the tip that carries all the tools. Raises JobError where these are on several."""
+    names = [name for name in dict.fromkeys((tool,) if isinstance(tool, str) else tool) if name in model.tools]
+    tips = {model.of(name).robot.tip: name for name in names}
+    if len(tips) > 1:
+        one, other = list(tips.values())[:2]
+        raise JobError(f"the tools {one!r} and {other!r} are on different links; correct their targets one by one.")
+    return model.of(names[0]) if names else model
+
+
+def _from_anywhere(
+    model: CalibratedMachine, poses: Array, tools: Array, conditions: Conditions, how: How
+) -> Corrections:
+    """Return the commands for poses (N, 4, 4) in the base link that no readings are given to start from."""
+    n = len(poses)
     found: Corrections | None = None
     refused = _out_of_reach(model, poses, tools)
     effort = Effort(n, price(model, how.residuals))
@@ -117,16 +155,6 @@ def for_poses(
     return cast(Corrections, found)
 
 
-def at_tip(model: CalibratedMachine, tool: str | Sequence[str]) -> CalibratedMachine:
-    """Return the machine looked at the tip that carries all the tools. Raises JobError where these are on several."""
-    names = [name for name in dict.fromkeys((tool,) if isinstance(tool, str) else tool) if name in model.tools]
-    tips = {model.of(name).robot.tip: name for name in names}
-    if len(tips) > 1:
-        one, other = list(tips.values())[:2]
-        raise JobError(f"the tools {one!r} and {other!r} are on different links; correct their targets one by one.")
-    return model.of(names[0]) if names else model
-
-
 # ---- arguments
 
 
@@ -140,10 +168,13 @@ def _start(model: CalibratedMachine, readings: Array) -> Array:
     return readings
 
 
-def _refuse_unknown_conditions(model: CalibratedMachine, conditions: Conditions) -> None:
+def _conditions(model: CalibratedMachine, conditions: Conditions, rows: int, in_order: bool) -> Conditions:
+    """Return the conditions of the rows, of which joint terms of the machine lack nothing."""
     names = [reading.name for reading in model.robot.readings]
+    conditions = unsided(conditions, rows, len(names)) if in_order else conditions
     if missing := lacking(model.robot.terms, names, conditions):
         raise JobError(f"{missing[0]} of the machine needs {missing[1]!r} for every target.")
+    return conditions
 
 
 def _tools(model: CalibratedMachine, tool: str | Sequence[str], n: int) -> Array:

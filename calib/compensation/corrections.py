@@ -57,13 +57,21 @@ def joined(parts: Sequence[Corrections]) -> Corrections:
 def better(found: Corrections, more: Corrections, rows: IntArray) -> Corrections:
     """Return the corrections with those of some rows replaced where they are reached or nearer."""
     nearer = np.nan_to_num(more.position_error, nan=np.inf) < np.nan_to_num(found.position_error[rows], nan=np.inf)
-    take = more.reached | nearer
-    index, mine = rows[take], np.flatnonzero(take)
+    return _with_rows(found, more, rows, np.flatnonzero(more.reached | nearer))
+
+
+def replaced(found: Corrections, more: Corrections, rows: IntArray) -> Corrections:
+    """Return the corrections with others of some rows."""
+    return _with_rows(found, more, rows, np.arange(len(rows)))
+
+
+def _with_rows(found: Corrections, more: Corrections, rows: IntArray, take: IntArray) -> Corrections:
+    """Return corrections with those that were sought for ``rows``, of which the numbers ``take`` are taken."""
     merged = {name: getattr(found, name).copy() for name in (*_ANSWERS, "steps")}
     for name in _ANSWERS:
-        merged[name][index] = getattr(more, name)[mine]
+        merged[name][rows[take]] = getattr(more, name)[take]
     merged["steps"][rows] += more.steps
     reasons = list(found.reasons)
-    for to, n in zip(index, mine, strict=True):
+    for to, n in zip(rows[take], take, strict=True):
         reasons[to] = more.reasons[n]
     return Corrections(reasons=tuple(reasons), **{name: read_only_view(own) for name, own in merged.items()})

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.compensation.commands import at_tip, for_joint_targets, for_poses
 from calib.compensation.corrections import Corrections
+from calib.compensation.order import sided, unsided
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
@@ -20,7 +21,7 @@ from calib.foundations.units import MM, MRAD, UNITS, Dimension, Unit
 from calib.foundations.words import not_calibrated
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.columns import filled, orientations, stacked
-from calib.measurement.conditions import conditions
+from calib.measurement.conditions import conditions, sided_columns
 from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, Table, nearest, read_table
 from calib.robot.conditions import Conditions
 from calib.robot.transmission import lacking
@@ -35,7 +36,7 @@ class Targets:
 
     ``readings`` (N, nr) in rad and m: the targets, or where to start from, or None. ``poses`` (N, 4, 4), or positions
     (N, 3), or None for joint targets. ``tools``: N names. ``conditions``: what joint terms need to be told. ``table``:
-    as it was read.
+    as it was read. ``in_order``: whether the order of the rows tells the sides of approach.
     """
 
     __repr__ = brief
@@ -45,22 +46,24 @@ class Targets:
     tools: tuple[str, ...]
     conditions: Conditions
     table: Table
+    in_order: bool = False
 
     def __len__(self) -> int:
         return len(self.table)
 
 
 @checked
-def read_targets(path: str | Path, model: CalibratedMachine, tool: str = "tool") -> Targets:
+def read_targets(path: str | Path, model: CalibratedMachine, tool: str = "tool", *, in_order: bool = False) -> Targets:
     """Read targets of a calibrated machine from a CSV file. Raises MeasurementError as :func:`targets` does."""
-    return targets(read_table(path), model, tool)
+    return targets(read_table(path), model, tool, in_order=in_order)
 
 
-def targets(table: Table, model: CalibratedMachine, tool: str = "tool") -> Targets:
+def targets(table: Table, model: CalibratedMachine, tool: str = "tool", *, in_order: bool = False) -> Targets:
     """Return the targets of a table; which kind they are, its columns say.
 
     With x, y, z: positions, with qw, qx, qy, qz poses; joint columns are then optional readings to start from. Without:
-    joint targets. A column ``tool`` names the tool of every row, else ``tool`` is that of all.
+    joint targets. A column ``tool`` names the tool of every row, else ``tool`` is that of all. ``in_order``: they are
+    visited in the order of the rows, which tells from which side joints are reached.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
     not of unit length, when a tool is not known, and when a joint term of the machine needs a column that is not there.
@@ -106,9 +109,13 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool") -> Targe
             )
             raise MeasurementError(f"{where}{line}: {not_calibrated('tool', name, model.tools)}{say}.")
     told = conditions(table, model.robot.readings)
-    if unsaid := lacking(model.robot.terms, list(joints), told):
-        raise MeasurementError(f"{where}: there is no column {unsaid[1]!r}, which {unsaid[0]} of the machine needs.")
-    return Targets(start, poses, tools, told, table)
+    sided_columns(table, model.robot.readings, in_order=in_order)
+    of_rows = unsided(told, len(table), len(joints)) if in_order else told
+    if unsaid := lacking(model.robot.terms, list(joints), of_rows):
+        needs = f"there is no column {unsaid[1]!r}, which {unsaid[0]} of the machine needs"
+        otherwise = "; targets in the order of their visits tell it, too: --in-order" if APPROACH in unsaid[1] else ""
+        raise MeasurementError(f"{where}: {needs}{otherwise}.")
+    return Targets(start, poses, tools, told, table, in_order)
 
 
 @checked
@@ -126,7 +133,15 @@ def corrections(
     """
     if wanted.poses is None:
         readings = cast(Array, wanted.readings)
-        found = for_joint_targets(model, readings, wanted.tools, what=what, clamp=clamp, conditions=wanted.conditions)
+        found = for_joint_targets(
+            model,
+            readings,
+            wanted.tools,
+            what=what,
+            clamp=clamp,
+            conditions=wanted.conditions,
+            in_order=wanted.in_order,
+        )
     else:
         poses = wanted.poses if what == "pose" or wanted.poses.ndim == 2 else wanted.poses[:, :3, 3]
         found = for_poses(
@@ -137,6 +152,7 @@ def corrections(
             frame=frame,
             clamp=clamp,
             conditions=wanted.conditions,
+            in_order=wanted.in_order,
         )
     if not found.reached.any():
         table, joints = wanted.table, len(_needed(model, wanted.tools))
@@ -164,6 +180,8 @@ def idle(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame, clamp: 
         said.append(f"{wanted.table.where}: holds joint targets, which are in no frame: --frame {frame} has no effect.")
     if clamp and model.residual_model is None:
         said.append("The machine has no residual model: --clamp has no effect.")
+    if wanted.in_order and not sided(model.robot):
+        said.append("The machine has no joint term that asks for sides of approach: --in-order has no effect.")
     return tuple(said)
 
 

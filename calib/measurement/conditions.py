@@ -25,12 +25,7 @@ def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = Fa
     MeasurementError for a word that is no side, a unit of another dimension, and where sides are given twice.
     """
     own = {reading.name: f"{APPROACH}{reading.name}" for reading in readings}
-    said = [name for name in ("direction", *own.values()) if name in table.columns]
-    sources = [*(["the order of the rows"] if in_order else []), *said]
-    if len(sources) > 1 and (in_order or "direction" in said):
-        raise MeasurementError(
-            f"{table.where}: the side of approach is given twice, by {sources[0]} and by {sources[1]}; keep one."
-        )
+    said = sided_columns(table, readings, in_order=in_order)
     approach = None
     if in_order:
         approach = sides_in_order(filled(table, {reading.name: reading.dimension for reading in readings}))
@@ -57,6 +52,18 @@ def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = Fa
     if temperature is None or "time" not in table.columns:
         return told
     return told.in_time(numbers(table, "time", "time"))
+
+
+def sided_columns(table: Table, readings: Sequence[Reading], *, in_order: bool = False) -> list[str]:
+    """Return the columns of a table that tell sides of approach. Raises MeasurementError where they are given twice."""
+    own = [f"{APPROACH}{reading.name}" for reading in readings]
+    said = [name for name in ("direction", *own) if name in table.columns]
+    sources = [*(["the order of the rows"] if in_order else []), *said]
+    if len(sources) > 1 and (in_order or "direction" in said):
+        raise MeasurementError(
+            f"{table.where}: the side of approach is given twice, by {sources[0]} and by {sources[1]}; keep one."
+        )
+    return said
 
 
 def _sides(table: Table, name: str) -> Array:

@@ -155,6 +155,104 @@ def waves(robot: calib.Robot, coefficients: Array, u: Array) -> Array:
     return np.asarray(gain * u + cos * np.cos(2.0 * u) + sin * np.sin(11.0 * u))
 
 
+# ---- targets that are visited in their order
+
+
+def with_gaps(name: str, half: float = 4e-4) -> calib.CalibratedMachine:
+    """A machine of whose joints all but the last have a gap; ``half`` of it, in rad."""
+    bare = robot_of(name)
+    terms = tuple(JointTerm(reading.name, "backlash") for reading in bare.readings[:-1])
+    robot = replace(bare, terms=terms)
+    sizes = half * np.linspace(1.0, 2.0, len(terms))
+    return replace(model_of(bare), robot=robot, deviations=replace(deviations(robot), terms=sizes))
+
+
+def walked(model: calib.CalibratedMachine, commanded: Array, rows: Array) -> Array:
+    """Return where the tip is when a robot is sent to some of the rows, one after the other, joint by joint."""
+    side, before, found = np.zeros(commanded.shape[1]), None, np.full((len(commanded), 4, 4), np.nan)
+    gaps = np.append(model.deviations.terms, 0.0)
+    bare = replace(model.deviations, terms=np.zeros(0))
+    for n in rows:
+        for k in range(len(side)):
+            if before is not None and abs(commanded[n, k] - before[k]) > 1e-9:
+                side[k] = 1.0 if commanded[n, k] > before[k] else -1.0
+        before = commanded[n]
+        found[n] = replace(model.robot, terms=()).tips((commanded[n] + gaps * side)[None], bare)[0]
+    return found
+
+
+@pytest.mark.parametrize("half", [4e-4, -4e-4])
+@pytest.mark.parametrize("start", ["joints", "poses from readings", "poses"])
+def test_commands_tell_from_which_side_their_order_reaches_them(start: str, half: float) -> None:
+    model = with_gaps("ur10", half)
+    readings = well_posed(model_of(robot_of("ur10")), draw(model.robot, 40))
+    readings[5:9, 1] = readings[4, 1]  # this one rests, or moves by what is corrected alone
+    readings[12] = readings[11]
+    readings[20:24] = readings[19] + 1e-5 * np.arange(1, 5)[:, None]
+    nominal = replace(model.robot, terms=()).tips(readings) @ TOOLS["tool"]
+    if start == "joints":
+        found = commands.for_joint_targets(model, readings, in_order=True)
+    else:
+        found = commands.for_poses(model, nominal, readings if "from" in start else None, in_order=True)
+    rows = np.flatnonzero(found.reached)
+    assert len(rows) > 20
+    if half < 0.0:  # joints stay behind, as gaps let them
+        assert len(rows) == len(readings)
+    there = walked(model, found.readings, rows) @ TOOLS["tool"]
+    assert apart(there[rows], nominal[rows])[0] < 1e-8
+    assert found.reasons[0].startswith("from which side 'shoulder_pan_joint', 'shoulder_lift_joint', 'elbow_joint', ")
+    assert found.reasons[0].endswith("is reached is not known, as it has not moved before")
+    assert all("cannot be told: corrected for one side, it" in found.reasons[n] for n in np.flatnonzero(~found.reached))
+    # What the same path would miss if nobody told the sides.
+    blind = commands.for_joint_targets(model, readings, conditions=Conditions(approach=np.zeros_like(readings)))
+    assert apart(walked(model, blind.readings, rows)[rows] @ TOOLS["tool"], nominal[rows])[0] > 1e-4
+
+
+def test_a_robot_does_not_go_where_targets_are_not_reached() -> None:
+    model = with_gaps("ur10")
+    readings = well_posed(model_of(robot_of("ur10")), draw(model.robot, 12))
+    poses = replace(model.robot, terms=()).tips(readings) @ TOOLS["tool"]
+    far = np.insert(poses, [0, 6], np.array([[1, 0, 0, 9], [0, 1, 0, 9], [0, 0, 1, 9], [0, 0, 0, 1]]), axis=0)
+    found = commands.for_poses(model, far, in_order=True)
+    assert np.flatnonzero(~found.reached).tolist() == [0, 7]
+    alone = commands.for_poses(model, poses, in_order=True)
+    assert np.allclose(np.delete(found.readings, [0, 7], axis=0), alone.readings, rtol=0, atol=1e-10)
+
+
+def test_sides_are_told_once() -> None:
+    model = with_gaps("ur10")
+    readings = draw(model.robot, 3)
+    told = Conditions(approach=np.ones_like(readings))
+    with pytest.raises(JobError, match=r"^the side of approach is given twice, by the conditions and by the order "):
+        commands.for_joint_targets(model, readings, conditions=told, in_order=True)
+    with pytest.raises(JobError, match=r"needs 'direction_shoulder_pan_joint' for every target\.$"):
+        commands.for_joint_targets(model, readings)
+    bare = model_of(robot_of("ur10"))
+    pair = [commands.for_joint_targets(bare, readings, in_order=ordered).readings for ordered in (True, False)]
+    assert np.array_equal(*pair)
+
+
+def test_tables_of_targets_tell_sides_by_their_order() -> None:
+    model = with_gaps("ur10")
+    names = [reading.name for reading in model.robot.readings]
+    readings = well_posed(model_of(robot_of("ur10")), draw(model.robot, 12))
+    columns: dict[str, Any] = {f"{name} [rad]": readings[:, k] for k, name in enumerate(names)}
+    table = table_from_arrays(columns)
+    with pytest.raises(MeasurementError, match=r"tell it, too: --in-order\.$"):
+        targets.targets(table, model)
+    wanted = targets.targets(table, model, in_order=True)
+    found = targets.corrections(model, wanted)
+    same = commands.for_joint_targets(model, readings, in_order=True)
+    assert np.array_equal(found.readings, same.readings)
+    assert targets.idle(model, wanted, frame="base", clamp=False) == ()
+    assert targets.idle(model_of(robot_of("ur10")), wanted, frame="base", clamp=False) == (
+        "The machine has no joint term that asks for sides of approach: --in-order has no effect.",
+    )
+    sided = table_from_arrays({**columns, "direction": ["+"] * len(readings)})
+    with pytest.raises(MeasurementError, match="given twice, by the order of the rows and by direction; keep one"):
+        targets.targets(sided, model, in_order=True)
+
+
 def test_tools_row_by_row() -> None:
     model = model_of(robot_of("ur10"))
     readings = well_posed(model, draw(model.robot, 20))
