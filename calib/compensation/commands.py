@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.compensation.corrections import Corrections, better
 from calib.compensation.inverse import Asked, Effort, How, cut_short, limits, price, rowwise, solve
-from calib.compensation.order import by_order, unsided
+from calib.compensation.order import by_order, with_sides
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
@@ -36,7 +36,6 @@ def for_joint_targets(
     what: What = "pose",
     clamp: bool = False,
     conditions: Conditions = NO_CONDITIONS,
-    in_order: bool = False,
     tolerance: tuple[float, float] = (1e-6, 1e-6),
 ) -> Corrections:
     """Return the commands with which the calibrated machine goes where the nominal one would at readings (N, nr).
@@ -44,14 +43,14 @@ def for_joint_targets(
     The nominal machine has the same base and tool. ``tool``: one for all rows, or N. ``what``: reach the tool's whole
     pose, or its position alone, as arms of fewer than six joints need. Outside the range of the machine's residual
     model, rows are refused; with ``clamp`` they use the value at its edge, with a remark. A row is reached within
-    ``tolerance``, in m and rad. ``conditions`` of the rows: what joint terms need besides readings; with ``in_order``
-    without sides of approach: the rows are visited one after the other without overshoot, and the commands tell them.
+    ``tolerance``, in m and rad. ``conditions`` of the rows: what joint terms need besides readings; of rows that are
+    visited one after the other, ``Conditions(ordered=True)`` takes the sides of approach from the commands themselves.
 
     Raises JobError when an option or an array cannot be used, or a condition that a joint term needs is not given.
     """
     model = at_tip(model, tool)
     readings = _start(model, readings)
-    conditions = _conditions(model, conditions, len(readings), in_order)
+    conditions = _conditions(model, conditions, len(readings))
     tools = _tools(model, tool, len(readings))
     nominal = TipModel(model.robot)
     tips, why = rowwise(nominal.tips, readings, (4, 4))
@@ -59,7 +58,7 @@ def for_joint_targets(
     how = How(what, model.residual_model, clamp, tolerance, _REMARKABLE)
 
     asked = Asked(tips @ tools, tools, readings, tuple(reasons), conditions)
-    if not in_order:
+    if not conditions.ordered:
         return solve(model, asked, how)
 
     def correct(told: Conditions, rows: IntArray, _: Corrections | None) -> Corrections:
@@ -78,7 +77,6 @@ def for_poses(
     frame: PoseFrame = "base",
     clamp: bool = False,
     conditions: Conditions = NO_CONDITIONS,
-    in_order: bool = False,
     tolerance: tuple[float, float] = (1e-6, 1e-6),
 ) -> Corrections:
     """Return the commands that bring the tool to poses (N, 4, 4), or to positions (N, 3) in any orientation.
@@ -96,7 +94,7 @@ def for_poses(
     if frame not in ("base", "instrument"):
         raise JobError(f"the frame of the poses is {frame!r}; allowed are base, instrument.")
     model = at_tip(model, tool)
-    conditions = _conditions(model, conditions, len(poses), in_order)
+    conditions = _conditions(model, conditions, len(poses))
     what: What = "pose"
     if poses.ndim == 2:
         what, poses = "position", rigid.translation(poses)
@@ -120,7 +118,9 @@ def for_poses(
             return _from_anywhere(model, poses[rows], tools[rows], told.subset(rows), how)
         return solve(model, Asked(poses, tools, begin, ("",) * n, told).subset(rows), how)
 
-    return by_order(model.robot, start, conditions, correct) if in_order else correct(conditions, np.arange(n), None)
+    if not conditions.ordered:
+        return correct(conditions, np.arange(n), None)
+    return by_order(model.robot, start, conditions, correct)
 
 
 def at_tip(model: CalibratedMachine, tool: str | Sequence[str]) -> CalibratedMachine:
@@ -168,10 +168,10 @@ def _start(model: CalibratedMachine, readings: Array) -> Array:
     return readings
 
 
-def _conditions(model: CalibratedMachine, conditions: Conditions, rows: int, in_order: bool) -> Conditions:
+def _conditions(model: CalibratedMachine, conditions: Conditions, rows: int) -> Conditions:
     """Return the conditions of the rows, of which joint terms of the machine lack nothing."""
     names = [reading.name for reading in model.robot.readings]
-    conditions = unsided(conditions, rows, len(names)) if in_order else conditions
+    conditions = with_sides(conditions, rows, len(names))
     if missing := lacking(model.robot.terms, names, conditions):
         raise JobError(f"{missing[0]} of the machine needs {missing[1]!r} for every target.")
     return conditions

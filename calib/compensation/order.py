@@ -29,13 +29,15 @@ def sided(robot: Robot) -> tuple[int, ...]:
     return tuple(k for k, reading in enumerate(robot.readings) if reading.name in asking)
 
 
-def unsided(conditions: Conditions, rows: int, readings: int) -> Conditions:
-    """Return the conditions of rows whose sides their order is to tell: 0 for all readings as long as it has not.
+def with_sides(conditions: Conditions, rows: int, readings: int) -> Conditions:
+    """Return the conditions of targets; where their order is to tell the sides, 0 for all as long as it has not.
 
-    Raises JobError where the conditions tell sides.
+    Raises JobError where the conditions tell them as well.
     """
+    if not conditions.ordered:
+        return conditions
     if conditions.approach is not None:
-        raise JobError("the side of approach is given twice, by the conditions and by the order of the rows; keep one.")
+        raise JobError("the side of approach is given twice, by 'approach' and as 'ordered'; keep one.")
     return replace(conditions, approach=np.zeros((rows, readings)))
 
 
@@ -43,7 +45,7 @@ def by_order(robot: Robot, start: Array | None, conditions: Conditions, correct:
     """Return the commands for N targets in the order of their rows, each reached from the side that they tell.
 
     ``correct`` finds those of some rows where sides are known, from the conditions of all and what was found so far;
-    these ``conditions`` are :func:`unsided`. ``start`` (N, nr): readings that tell a first guess of the sides, None
+    these ``conditions`` are :func:`with_sides`. ``start`` (N, nr): readings that tell a first guess of the sides, None
     where there is none. Rows that are not reached are not visited either. A reading that nothing has moved yet has no
     side, which is a remark on its row. Rows that have no consistent side, as a coefficient of the other sign may leave
     them, are not reached.

@@ -1,7 +1,7 @@
 """Targets of a calibrated machine as tables: joint targets, poses or positions in, corrected commands out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.compensation.commands import at_tip, for_joint_targets, for_poses
 from calib.compensation.corrections import Corrections
-from calib.compensation.order import sided, unsided
+from calib.compensation.order import sided, with_sides
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
@@ -36,7 +36,7 @@ class Targets:
 
     ``readings`` (N, nr) in rad and m: the targets, or where to start from, or None. ``poses`` (N, 4, 4), or positions
     (N, 3), or None for joint targets. ``tools``: N names. ``conditions``: what joint terms need to be told. ``table``:
-    as it was read. ``in_order``: whether the order of the rows tells the sides of approach.
+    as it was read.
     """
 
     __repr__ = brief
@@ -46,7 +46,6 @@ class Targets:
     tools: tuple[str, ...]
     conditions: Conditions
     table: Table
-    in_order: bool = False
 
     def __len__(self) -> int:
         return len(self.table)
@@ -108,14 +107,13 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool", *, in_or
                 (f":{table.lines[n]}", "") if "tool" in columns else ("", "; name one, or write a column 'tool'")
             )
             raise MeasurementError(f"{where}{line}: {not_calibrated('tool', name, model.tools)}{say}.")
-    told = conditions(table, model.robot.readings)
+    told = replace(conditions(table, model.robot.readings), ordered=in_order)
     sided_columns(table, model.robot.readings, in_order=in_order)
-    of_rows = unsided(told, len(table), len(joints)) if in_order else told
-    if unsaid := lacking(model.robot.terms, list(joints), of_rows):
+    if unsaid := lacking(model.robot.terms, list(joints), with_sides(told, len(table), len(joints))):
         needs = f"there is no column {unsaid[1]!r}, which {unsaid[0]} of the machine needs"
         otherwise = "; targets in the order of their visits tell it, too: --in-order" if APPROACH in unsaid[1] else ""
         raise MeasurementError(f"{where}: {needs}{otherwise}.")
-    return Targets(start, poses, tools, told, table, in_order)
+    return Targets(start, poses, tools, told, table)
 
 
 @checked
@@ -133,15 +131,7 @@ def corrections(
     """
     if wanted.poses is None:
         readings = cast(Array, wanted.readings)
-        found = for_joint_targets(
-            model,
-            readings,
-            wanted.tools,
-            what=what,
-            clamp=clamp,
-            conditions=wanted.conditions,
-            in_order=wanted.in_order,
-        )
+        found = for_joint_targets(model, readings, wanted.tools, what=what, clamp=clamp, conditions=wanted.conditions)
     else:
         poses = wanted.poses if what == "pose" or wanted.poses.ndim == 2 else wanted.poses[:, :3, 3]
         found = for_poses(
@@ -152,7 +142,6 @@ def corrections(
             frame=frame,
             clamp=clamp,
             conditions=wanted.conditions,
-            in_order=wanted.in_order,
         )
     if not found.reached.any():
         table, joints = wanted.table, len(_needed(model, wanted.tools))
@@ -180,7 +169,7 @@ def idle(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame, clamp: 
         said.append(f"{wanted.table.where}: holds joint targets, which are in no frame: --frame {frame} has no effect.")
     if clamp and model.residual_model is None:
         said.append("The machine has no residual model: --clamp has no effect.")
-    if wanted.in_order and not sided(model.robot):
+    if wanted.conditions.ordered and not sided(model.robot):
         said.append("The machine has no joint term that asks for sides of approach: --in-order has no effect.")
     return tuple(said)
 

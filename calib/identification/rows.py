@@ -1,7 +1,6 @@
 """Rows of one set, few at a time: whose they are, which photographs they are of, and what they leave unexplained."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
 
 import numpy as np
 
@@ -67,8 +66,8 @@ def photographs_of(data: Measurements) -> IntArray | None:
     _, first = np.unique(number, return_index=True)
     if len(number) < _FEW_MARKS * len(first):
         return None
-    told = [getattr(data.conditions, one.name) for one in fields(data.conditions)]
-    alike = all(one is None or np.array_equal(one, one[first[number]], equal_nan=True) for one in told)
+    told = data.conditions.told().values()
+    alike = all(np.array_equal(one, one[first[number]], equal_nan=True) for one in told)
     return number if alike else None
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,8 @@ class Conditions:
     mass in kg; ``gravity`` (N, 3): in m/s^2 in the base link. Where they are NaN, those of the robot are meant.
     ``motion`` (N, 2, nr): rates and accelerations of the readings, per s and s^2; None at rest.
     ``lagged``: temperatures in degC of what follows late, as :meth:`in_time` makes them. ``torque_sigma`` (N,): the
-    standard deviation of the torques in Nm, None where they are taken as they are.
+    standard deviation of the torques in Nm, None where they are taken as they are. ``ordered``, of targets: they are
+    visited in the order of their rows, without overshoot, and the commands for them tell the approach.
     """
 
     __repr__ = brief
@@ -39,6 +41,7 @@ class Conditions:
     lagged: Array | None = None
     torque_sigma: Array | None = None
     motion: Array | None = None
+    ordered: bool = False
 
     def __post_init__(self) -> None:
         refuse_fields(self)
@@ -50,11 +53,13 @@ class Conditions:
         return self.payload, self.gravity, self.motion
 
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
-        """Return the conditions of some rows."""
-        every = _every(self)
-        if all(told is None for told in every):
-            return self
-        return Conditions(*(None if told is None else told[rows] for told in every))
+        """Return the conditions of some rows; these are no longer ordered."""
+        found: dict[str, Any] = {name: values[rows] for name, values in self.told().items()}
+        return Conditions(**found) if found else NO_CONDITIONS
+
+    def told(self) -> dict[str, Array]:
+        """Return what is known of the rows, by name."""
+        return {name: values for name, values in zip(_NAMES, _every(self), strict=True) if values is not None}
 
     def in_time(self, times: Array) -> "Conditions":
         """Return the conditions of rows whose temperatures were told at times (N,) in s, for terms with memory.
@@ -74,7 +79,7 @@ class Conditions:
 
 
 NO_CONDITIONS = Conditions()
-_NAMES = tuple(field.name for field in fields(Conditions))
+_NAMES = tuple(field.name for field in fields(Conditions) if field.name != "ordered")
 _every = attrgetter(*_NAMES)
 # What rows have of which nobody says anything, beside others of which somebody does; of all else, nobody then does.
 _UNSAID = {"payload": np.nan, "gravity": np.nan, "motion": 0.0}
@@ -104,7 +109,8 @@ def joined(parts: Sequence[tuple[int, Conditions]]) -> Conditions:
         known = [values for values in found if values is not None]
         return read_only(np.concatenate(known)) if known and len(known) == len(found) else None
 
-    return Conditions(*map(of_all, _NAMES))
+    of_rows: dict[str, Any] = {name: of_all(name) for name in _NAMES}
+    return Conditions(**of_rows)
 
 
 def in_order(readings: Array) -> Array:

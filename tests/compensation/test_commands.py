@@ -157,6 +157,8 @@ def waves(robot: calib.Robot, coefficients: Array, u: Array) -> Array:
 
 # ---- targets that are visited in their order
 
+IN_ORDER = Conditions(ordered=True)
+
 
 def with_gaps(name: str, half: float = 4e-4) -> calib.CalibratedMachine:
     """A machine of whose joints all but the last have a gap; ``half`` of it, in rad."""
@@ -191,9 +193,9 @@ def test_commands_tell_from_which_side_their_order_reaches_them(start: str, half
     readings[20:24] = readings[19] + 1e-5 * np.arange(1, 5)[:, None]
     nominal = replace(model.robot, terms=()).tips(readings) @ TOOLS["tool"]
     if start == "joints":
-        found = commands.for_joint_targets(model, readings, in_order=True)
+        found = commands.for_joint_targets(model, readings, conditions=IN_ORDER)
     else:
-        found = commands.for_poses(model, nominal, readings if "from" in start else None, in_order=True)
+        found = commands.for_poses(model, nominal, readings if "from" in start else None, conditions=IN_ORDER)
     rows = np.flatnonzero(found.reached)
     assert len(rows) > 20
     if half < 0.0:  # joints stay behind, as gaps let them
@@ -213,22 +215,24 @@ def test_a_robot_does_not_go_where_targets_are_not_reached() -> None:
     readings = well_posed(model_of(robot_of("ur10")), draw(model.robot, 12))
     poses = replace(model.robot, terms=()).tips(readings) @ TOOLS["tool"]
     far = np.insert(poses, [0, 6], np.array([[1, 0, 0, 9], [0, 1, 0, 9], [0, 0, 1, 9], [0, 0, 0, 1]]), axis=0)
-    found = commands.for_poses(model, far, in_order=True)
+    found = commands.for_poses(model, far, conditions=IN_ORDER)
     assert np.flatnonzero(~found.reached).tolist() == [0, 7]
-    alone = commands.for_poses(model, poses, in_order=True)
+    alone = commands.for_poses(model, poses, conditions=IN_ORDER)
     assert np.allclose(np.delete(found.readings, [0, 7], axis=0), alone.readings, rtol=0, atol=1e-10)
 
 
 def test_sides_are_told_once() -> None:
     model = with_gaps("ur10")
     readings = draw(model.robot, 3)
-    told = Conditions(approach=np.ones_like(readings))
-    with pytest.raises(JobError, match=r"^the side of approach is given twice, by the conditions and by the order "):
-        commands.for_joint_targets(model, readings, conditions=told, in_order=True)
+    told = Conditions(approach=np.ones_like(readings), ordered=True)
+    with pytest.raises(
+        JobError, match=r"^the side of approach is given twice, by 'approach' and as 'ordered'; keep one"
+    ):
+        commands.for_joint_targets(model, readings, conditions=told)
     with pytest.raises(JobError, match=r"needs 'direction_shoulder_pan_joint' for every target\.$"):
         commands.for_joint_targets(model, readings)
     bare = model_of(robot_of("ur10"))
-    pair = [commands.for_joint_targets(bare, readings, in_order=ordered).readings for ordered in (True, False)]
+    pair = [commands.for_joint_targets(bare, readings, conditions=told).readings for told in (IN_ORDER, NO_CONDITIONS)]
     assert np.array_equal(*pair)
 
 
@@ -242,7 +246,7 @@ def test_tables_of_targets_tell_sides_by_their_order() -> None:
         targets.targets(table, model)
     wanted = targets.targets(table, model, in_order=True)
     found = targets.corrections(model, wanted)
-    same = commands.for_joint_targets(model, readings, in_order=True)
+    same = commands.for_joint_targets(model, readings, conditions=IN_ORDER)
     assert np.array_equal(found.readings, same.readings)
     assert targets.idle(model, wanted, frame="base", clamp=False) == ()
     assert targets.idle(model_of(robot_of("ur10")), wanted, frame="base", clamp=False) == (
