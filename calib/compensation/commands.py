@@ -56,7 +56,6 @@ def for_joint_targets(
     tips, why = rowwise(nominal.tips, readings, (4, 4))
     reasons = ["" if not text else f"the nominal machine: {text}" for text in why]
     how = How(what, model.residual_model, clamp, tolerance, _REMARKABLE)
-
     asked = Asked(tips @ tools, tools, readings, tuple(reasons), conditions)
     if not conditions.ordered:
         return solve(model, asked, how)
