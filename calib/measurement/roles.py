@@ -108,9 +108,7 @@ def roles(table: RawTable) -> Roles:
     points: list[Point] = []
     orientations: list[Orientation] = []
     spoken = {k for k in range(len(parts)) if k not in numeric}
-    for key, found in _by_axis(parts, numeric).items():
-        if not {"x", "y", "z"} <= found.keys():
-            continue
+    for key, found in _by_axis([column.name for column in table.columns], numeric):
         words = frozenset(itertools.chain(key.before, key.behind, [key.stem] if key.stem else []))
         columns = (found["x"], found["y"], found["z"])
         spoken.update(found.values())
@@ -184,16 +182,27 @@ class _Axis(NamedTuple):
     behind: tuple[str, ...]
 
 
-def _by_axis(parts: Sequence[Sequence[str]], numeric: Iterable[int]) -> dict[_Axis, dict[str, int]]:
-    """Return columns whose names differ by an x, y, z or w, at the end of a part or at its beginning."""
-    found: dict[_Axis, dict[str, int]] = {}
+def _by_axis(names: Sequence[str], numeric: Iterable[int]) -> Iterator[tuple[_Axis, dict[str, int]]]:
+    """Yield columns whose names differ by an x, y, z, and perhaps a w, at the end of a part or at its beginning.
+
+    Capitals and small letters are columns of their own where either are whole: a gantry's joints X, Y, Z stand beside
+    the measured x, y, z.
+    """
+    found: dict[_Axis, tuple[dict[str, int], ...]] = {}
     for k in numeric:
-        for i, part in enumerate(parts[k]):
-            for letter, stem in {(part[-1], part[:-1]), (part[0], part[1:])}:
+        written = _TOKEN.findall(names[k])
+        parts = tokens(names[k])
+        for i, part in enumerate(parts):
+            for letter, stem, own in {(part[-1], part[:-1], written[i][-1]), (part[0], part[1:], written[i][0])}:
                 if letter in "xyzw":
-                    key = _Axis(tuple(parts[k][:i]), stem, tuple(parts[k][i + 1 :]))
-                    found.setdefault(key, {}).setdefault(letter, k)
-    return found
+                    both, *cases = found.setdefault(_Axis(parts[:i], stem, parts[i + 1 :]), ({}, {}, {}))
+                    both.setdefault(letter, k)
+                    cases[own.isupper()].setdefault(letter, k)
+    for key, (both, *cases) in found.items():
+        whole = [one for one in cases if {"x", "y", "z"} <= one.keys()]
+        for one in whole or [both]:
+            if {"x", "y", "z"} <= one.keys():
+                yield key, {**{letter: k for letter, k in both.items() if letter == "w"}, **one}
 
 
 def _kind_of_axes(stem: str, words: frozenset[str]) -> Literal["point", "turns", "quaternion", "other"]:
@@ -272,7 +281,9 @@ def joints_by_name(table: RawTable, readings: Sequence[str], among: frozenset[in
 
     ``among``: the columns that may be joints.
     """
-    parts = {k: tokens(table.columns[k].name) for k in among}
+    # A column that is called just as a reading goes before one that only capitals tell apart.
+    in_order = sorted(among, key=lambda k: (table.columns[k].name not in readings, k))
+    parts = {k: tokens(table.columns[k].name) for k in in_order}
     for short in (False, True):
         wanted = [_core(tokens(name)) if short else tokens(name) for name in readings]
         if len(set(wanted)) < len(wanted):

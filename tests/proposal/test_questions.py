@@ -107,3 +107,22 @@ def test_nothing_is_asked_of_an_arm_whose_joints_are_called_as_columns(titles: s
     (tmp_path / "table.csv").write_text(f"{titles}\n{rows}", encoding="utf-8")
     with pytest.raises(calib.MeasurementError, match="joint 'x' has the name of a measured column; rename the joint"):
         calib.measuring.propose(tmp_path / "gantry.urdf", [tmp_path / "table.csv"])
+
+
+@pytest.mark.parametrize(
+    "titles", ["X [mm],Y [mm],Z [mm],x [mm],y [mm],z [mm]", "x [mm],X [mm],y [mm],Y [mm],z [mm],Z [mm]"]
+)
+def test_joints_in_capitals_stand_beside_a_point_in_small_letters(titles: str, tmp_path: Path) -> None:
+    """A gantry's own columns are no measured point, and the point beside them is seen."""
+    axes = {"X": "1 0 0", "Y": "0 1 0", "Z": "0 0 1"}
+    text = urdf(*((name, "prismatic", "0 0 0.1", "0 0 0", axis) for name, axis in axes.items()))
+    (tmp_path / "gantry.urdf").write_text(text, encoding="utf-8")
+    rows = []
+    for q in itertools.product((10, 220, 430), repeat=3):
+        of = {**dict(zip("XYZ", q, strict=True)), "x": -q[1] + 55, "y": q[0] - 80, "z": q[2] + 300}
+        rows.append(",".join(str(of[title[0]]) for title in titles.split(",")))
+    (tmp_path / "table.csv").write_text("\n".join([titles, *rows]) + "\n", encoding="utf-8")
+    found = calib.measuring.propose(tmp_path / "gantry.urdf", [tmp_path / "table.csv"])
+    assert found.questions == ()
+    assert found.tables[0].columns.names == {f"{name} [mm]": f"{name} [mm]" for name in "XYZxyz"}
+    assert found.tables[0].columns.ignore == ()

@@ -35,10 +35,12 @@ def picks_of(seen: Seen) -> list[Pick]:
         for arm in _arms_of(seen, range(len(seen.raw.columns) + 1)):
             found += [Pick(arm, *way) for way in roles.without_names(seen.raw, len(arm.joints))]
         return _as_answered(seen, found)
-    points: list[roles.Point | None] = [*_points(seen)] or [None]
-    return _as_answered(
-        seen, [Pick(arm, joints, point, _turned(seen, point)) for arm, joints in _joints(seen) for point in points]
-    )
+    picks = []
+    for arm, joints in _joints(seen):
+        # What a joint reads is no measured point.
+        points = [point for point in _points(seen) if not set(point.columns) & set(joints.columns)]
+        picks += [Pick(arm, joints, point, _turned(seen, point)) for point in points or (None,)]
+    return _as_answered(seen, picks)
 
 
 def _points(seen: Seen) -> list[roles.Point]:
