@@ -6,7 +6,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from calib.foundations.arguments import own_fields, refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
@@ -41,7 +41,6 @@ class Conditions:
     motion: Array | None = None
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
         own_fields(self)
 
     @property
