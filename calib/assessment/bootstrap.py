@@ -19,6 +19,7 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
+from calib.foundations.chance import drawing
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
 from calib.foundations.words import not_calibrated
 from calib.identification.fit import Fit
@@ -72,7 +73,8 @@ def bootstrap(
     same readings; of a stream, stretches of 5 s, of which a dozen tell little and fewer nothing. Rows of photographs
     that err together are weighed as in the fit. ``progress`` is told how many of how many are done.
 
-    Raises JobError when there are fewer than two repetitions, MeasurementError for an unknown tool.
+    Raises JobError when there are fewer than two repetitions, MeasurementError for an unknown tool, RobotError for what
+    is no readings of this robot.
     """
     if repetitions < 2 or kind not in ("residuals", "poses"):
         raise JobError(
@@ -81,8 +83,8 @@ def bootstrap(
     tools = fit.measurements[0].tools
     if tool not in tools:
         raise MeasurementError(f"{not_calibrated('tool', tool, tools)}.")
-    where = np.asarray(readings, dtype=np.float64)
-    rng = np.random.default_rng(seed)
+    where = fit.robot.own(readings)
+    rng = drawing(seed)
     poses = [pose_groups(data) for data in fit.measurements]
     seen = _seen(fit, fit.measurements)
     free = [escape(parameter.name) for parameter in fit.parameters]

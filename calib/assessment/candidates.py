@@ -9,9 +9,10 @@ import numpy as np
 
 from calib.assessment.design import DesignRows
 from calib.foundations import rigid
-from calib.foundations.arguments import checked, own_fields, refuse_fields
+from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.brief import brief
+from calib.foundations.chance import drawing
 from calib.foundations.choices import MOST_POSES, Observed
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import finite, refuse_beyond, refuse_shape
@@ -66,7 +67,6 @@ class PlannedMeasurement:
     working: Array | None = None
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
         own_fields(self)
         refuse_other(self.observes, get_args(Observed), "observes")
         if self.working is not None:
@@ -129,7 +129,7 @@ class Sight:
     farthest: float = float("inf")
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         refuse_beyond(self.station, "position, station, point", "station")
         if self.facing is not None:
             refuse_beyond(self.facing, "normal", "facing")
@@ -166,7 +166,7 @@ class Candidates:
     rejected: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         refuse_shape(self.readings, (None, None), "candidates: readings")
 
 
@@ -181,8 +181,10 @@ def possible(
 ) -> Candidates:
     """Return those of the readings (N, nr) that are within the joints' limits, seen, and free of self-collision.
 
-    Raises RobotError when collisions take more than ``effort``, one of as many poses when None.
+    Raises RobotError for what is no readings of this robot, and when collisions take more than ``effort``, one of as
+    many poses when None.
     """
+    readings = robot.own(readings)
     limits = joint_limits(robot)
     unlimited = np.array([reading.lower is None or reading.upper is None for reading in robot.readings])
     inside = np.all(unlimited | ((readings >= limits[:, 0] - 1e-9) & (readings <= limits[:, 1] + 1e-9)), axis=1)
@@ -228,7 +230,7 @@ def random_candidates(
     if count > MOST_POSES:
         raise JobError(f"{count} random poses are asked for; allowed are {MOST_POSES}.")
     limits = joint_limits(robot)
-    rng = np.random.default_rng(seed)
+    rng = drawing(seed)
     parts: list[Array] = []
     tried, rejected = 0, Counter[str]()
     effort = Effort(robot, count)

@@ -9,7 +9,7 @@ from calib.identification.observability import rank_findings
 from calib.identification.sanity import signatures
 from calib.measurement.checks import Finding, copied_tables
 from calib.measurement.checks import table_findings as check_table
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, as_sets
 
 
 @checked
@@ -23,7 +23,7 @@ def check(model: ErrorModel, measurements: Measurements | Sequence[Measurements]
     another frame - that explains why the nominal robot misses them; a tip link that never turns. An error says that a
     fit would be meaningless.
     """
-    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    sets = as_sets(measurements)
     return _and(looks_wrong(model, sets), lambda: rank_findings(model, sets))
 
 

@@ -45,7 +45,7 @@ from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near
 from calib.identification.losses import Loss
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, as_sets
 from calib.robot.conditions import joined
 from calib.robot.joint_terms import ordered, parts
 from calib.robot.robot import Robot
@@ -219,7 +219,7 @@ def choose_terms(
     measurements with these options, where it is known already. Where poses are in a few places with nothing between
     them, the widths of chosen terms are learned, unless a prior is stated.
     """
-    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    sets = as_sets(measurements)
     rows = ChosenRows(sets, model_sigmas, losses)
     return choose_from(rows, model, offered=offered, count=count, geometric=geometric, progress=progress)
 

@@ -37,7 +37,7 @@ from calib.identification.fit import Fit
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, as_sets
 
 # As many folds, or each group by itself.
 Scheme = int | Literal["leave-one-group-out"]
@@ -188,7 +188,7 @@ def compare_models(
     some hundred groups; MeasurementError when all
     rows are of one group or the measurements are not of this robot.
     """
-    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    sets = as_sets(measurements)
     if not models:
         raise JobError("models: there is none to judge.")
     if choose is None:

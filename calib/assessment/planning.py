@@ -99,20 +99,21 @@ def plan(
     one for every number of poses that is forecast.
 
     Raises JobError when there are fewer candidates than ``count``, or when they determine nothing; RobotError for
-    candidates that are no readings.
+    candidates, measured or working poses that are no readings.
     """
     how = measurement or PlannedMeasurement()
     if isinstance(candidates, int):
         candidates = random_candidates(model.urdf_robot, how.frames, candidates).readings
-    candidates = model.urdf_robot.own(candidates)
+    own = model.urdf_robot.own
+    candidates = own(candidates)
     _refuse_few(count, candidates)
-    working = candidates if how.working is None else how.working
+    working = candidates if how.working is None else own(how.working)
     with one_thread(of_scipy=False):
         return planned(
             candidates,
             rows(model, how, candidates),
             working_rows(model, how, working),
-            None if measured is None or not len(measured) else rows(model, how, measured),
+            None if measured is None or not len(measured) else rows(model, how, own(measured)),
             model.parameters(),
             count,
             criterion,

@@ -28,7 +28,7 @@ from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near, residuals_of
 from calib.identification.losses import Loss
 from calib.measurement.kinds import QUANTITIES, Kind
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, as_sets
 from calib.measurement.poses import ONE_POSE, both_ends
 
 # Stretches of a stream, in s, and farther than any pose in units of one.
@@ -375,7 +375,7 @@ def cross_validate(
 
     Options as in :func:`calib.identify`. Raises what it raises, and MeasurementError when all rows are of one group.
     """
-    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    sets = as_sets(measurements)
     group = row_groups(sets)
     rows = ChosenRows(sets, model_sigmas, losses)
     fold = parts_apart(folds(group, count), group, sets)

@@ -16,9 +16,10 @@ from calib.assessment.design import DesignRows
 from calib.assessment.hand_eye import lens_of, marks_before_camera
 from calib.assessment.planning import Plan, planned
 from calib.foundations import rigid
-from calib.foundations.arguments import checked, refuse_fields
+from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
+from calib.foundations.chance import drawing
 from calib.foundations.choices import MOST_POSES, Criterion
 from calib.foundations.errors import JobError
 from calib.foundations.linear import one_thread
@@ -60,7 +61,7 @@ class Views:
     most_tilt: float = 55.0 * DEG
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         if not 0.0 < self.most_tilt < 90.0 * DEG:
             raise JobError(f"most_tilt: {self.most_tilt!r} is not an angle in rad between 0 and pi/2.")
         data = self.photographed
@@ -199,7 +200,7 @@ def view_candidates(
     """
     if not 1 <= count <= MOST_POSES:
         raise JobError(f"{count} views are asked for; allowed are 1 to {MOST_POSES}.")
-    robot, rng = views.fit.robot, np.random.default_rng(seed)
+    robot, rng = views.fit.robot, drawing(seed)
     known = np.unique(views.photographed.readings, axis=0)
     found, tried, rejected = np.zeros((0, known.shape[1])), 0, Counter[str]()
     for _ in range(_MOST_ROUNDS):

@@ -38,39 +38,46 @@ def checked(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        for name, value in signature.bind(*args, **kwargs).arguments.items():
+        given = signature.bind(*args, **kwargs)
+        for name, value in given.arguments.items():
             hint = signature.parameters[name].annotation
             if not _test(hint)(value):
                 raise _other(value, hint, f"{function.__name__}: {name}")
-        return function(*args, **kwargs)
+            if isinstance(value, np.generic):  # NumPy's numbers run over, and no file takes them
+                given.arguments[name] = value.item()
+        return function(*given.args, **given.kwargs)
 
     return call
 
 
-def refuse_fields(made: Any) -> None:
-    """Raise JobError when a field of a dataclass is not of the kind that its annotation says."""
-    cls: Any = type(made)
-    for name, hint, fits in _fields(cls):
-        value = getattr(made, name)
-        if not fits(value):
-            raise _other(value, hint, f"{cls.__name__}: {name}")
-
-
 def own_fields(made: Any) -> None:
-    """Take copies of the arrays and mappings that a dataclass was given, arrays read-only.
+    """Make the fields of a frozen dataclass its own; raise JobError for one that is not of the kind of its annotation.
 
+    Lists become tuples, arrays read-only copies, or tuples where no array is meant, and NumPy's numbers Python's own.
     Whoever made it may change theirs later, and what was asked of it before and after would not agree.
     """
     cls: Any = type(made)
-    for name, _, _ in _fields(cls):
+    for name, hint, fits, takes_arrays in _fields(cls):
         value = getattr(made, name)
-        if (own := _owned(value)) is not value:
+        if not fits(value):
+            raise _other(value, hint, f"{cls.__name__}: {name}")
+        if (own := _owned(value, takes_arrays)) is not value:
             object.__setattr__(made, name, own)
 
 
-def _owned(value: Any) -> Any:
+def _owned(value: Any, takes_arrays: bool) -> Any:
     if isinstance(value, dict | MappingProxyType):
-        return {key: _owned(item) for key, item in value.items()}
+        return {key: _owned(item, takes_arrays) for key, item in value.items()}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray) and not takes_arrays:
+        return _owned(value.tolist(), takes_arrays)
+    if isinstance(value, set):
+        return frozenset(value)
+    if type(value) in (list, tuple):
+        own = tuple(_owned(item, takes_arrays) for item in value)
+        same = isinstance(value, tuple) and all(a is b for a, b in zip(own, value, strict=True))
+        return value if same else own
     if isinstance(value, np.ndarray) and _may_change(value):
         value = value.copy()
         value.flags.writeable = False
@@ -88,10 +95,20 @@ def _may_change(array: npt.NDArray[Any]) -> bool:
 
 
 @functools.cache
-def _fields(of: Any) -> tuple[tuple[str, Any, _Test], ...]:
-    """Return the fields of a dataclass by name, with their hints and what tells whether a value fits."""
+def _fields(of: Any) -> tuple[tuple[str, Any, _Test, bool], ...]:
+    """Return name and hint of every field of a dataclass, what tells whether a value fits, and whether arrays do."""
     hints = get_type_hints(of)
-    return tuple((field.name, hints[field.name], _test(hints[field.name])) for field in fields(of))
+    return tuple(
+        (field.name, hints[field.name], _test(hints[field.name]), _takes_arrays(hints[field.name]))
+        for field in fields(of)
+    )
+
+
+def _takes_arrays(hint: Any) -> bool:
+    """Tell whether a value of the kind of a hint may be, or hold, an array."""
+    if hint in (Any, object) or _is_array_like(hint) or get_origin(hint) is np.ndarray:
+        return True
+    return any(map(_takes_arrays, get_args(hint)))
 
 
 def _other(value: object, hint: Any, where: str) -> JobError:

@@ -10,9 +10,17 @@ import numpy.typing as npt
 import scipy
 
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.errors import JobError
 
 # Autocorrelation counts while it is beyond chance by so many standard errors.
 _BEYOND_CHANCE = 3.0
+
+
+def drawing(seed: int) -> np.random.Generator:
+    """Return what draws random numbers, the same ones for a seed again. Raises JobError for a negative one."""
+    if seed < 0:
+        raise JobError(f"seed is {seed}; allowed is 0 or more.")
+    return np.random.default_rng(seed)
 
 
 def exceeded(square: npt.ArrayLike, numbers: IntArray | int, freedom: npt.ArrayLike = np.inf) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
-from calib.foundations.arguments import checked, own_fields, refuse_fields
+from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, RobotError
@@ -61,7 +61,6 @@ class Known:
     setups: Mapping[str, SetUp] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
         own_fields(self)
         if self.base is not None:
             _given_pose(self.base, "known.base")

@@ -32,7 +32,7 @@ from calib.identification.solver import Near, Solution, solution_at, solve
 from calib.identification.system import Problem, residuals, with_twists
 from calib.identification.together import FEWEST, Together, likeliest
 from calib.measurement.lens import FOCAL
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, as_sets
 from calib.robot.robot import Deviations
 
 # Searches from where anchors are elsewhere, at most: each time fewer are.
@@ -131,7 +131,7 @@ def _identify(
     placed: tuple[Placed, Fit] | None = None,
 ) -> Fit:
     refuse_other(null_space, ("nearest", "minimal", "refuse"), "null_space")
-    whole = initial_problem(model, (measurements,) if isinstance(measurements, Measurements) else tuple(measurements))
+    whole = initial_problem(model, as_sets(measurements))
     sets, parameters = whole.measurements, matching(whole.parameters, free)
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")

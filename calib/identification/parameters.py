@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
@@ -60,7 +60,7 @@ class Priors:
     elastic_sliding: Prior | None = None
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         for name, key in _RANGES.items():
             value, what = getattr(self, name), f"prior {name.replace('_', ' ')}"
             if isinstance(value, str):

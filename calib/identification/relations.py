@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
@@ -39,7 +39,7 @@ class Relation:
     sigma: float
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         refuse_other(self.kind, get_args(RelationKind), "relation")
         if self.targets[0] == self.targets[1]:
             raise JobError(f"relation of {self.targets}: is one target; a relation is between two.")

@@ -6,7 +6,7 @@ each other there is one, without a name of its own.
 
 from dataclasses import dataclass
 
-from calib.foundations.arguments import own_fields, refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
@@ -32,7 +32,6 @@ class SetUp:
     angle: float | None = None
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
         own_fields(self)
         refuse_no_placement(self.pose, "set-up: pose")
         if (self.length is None) != (self.angle is None):

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from calib.foundations.arguments import own_fields, refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
@@ -53,7 +53,6 @@ class Target:
     height_is_known: bool = True
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
         own_fields(self)
         refuse_no_placement(self.pose, "target: pose")
 

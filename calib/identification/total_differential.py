@@ -28,7 +28,7 @@ from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import Machine, values_at
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, as_sets
 
 StopReason = Literal["below the limit", "the estimate repeats", "too many iterations"]
 
@@ -140,7 +140,7 @@ def total_differential(
 
 
 def _problem(model: ErrorModel, measurements: Measurements | Sequence[Measurements]) -> Problem:
-    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    sets = as_sets(measurements)
     for data in sets:
         if data.kind != "position":
             raise MeasurementError(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from calib.foundations.arguments import checked, own_fields, refuse_fields
+from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import MeasurementError, RobotError
 from calib.foundations.ranges import refuse_no_placement
@@ -51,7 +51,6 @@ class CalibratedMachine:
     placed: Placed | None = None
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
         own_fields(self)
         refuse_other_deviations(self.robot, self.deviations)
         for name, base in self.bases.items():

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.foundations.arguments import checked, own_fields, refuse_fields
+from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
@@ -45,7 +45,6 @@ class TouchingArm:
     sigma: float
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
         own_fields(self)
         refuse_shape(self.point, (3,), "touching arm: point")
         refuse_beyond(self.point, "position, station, point", "touching arm: point")

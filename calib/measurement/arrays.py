@@ -1,6 +1,6 @@
 """Measurements from plain arrays, for those who have no table."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,9 @@ import numpy.typing as npt
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
+from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
+from calib.foundations.words import counted
 from calib.measurement.measurements import Measurements
 from calib.measurement.read import read_measurements
 from calib.measurement.table import QUATERNION_COLUMNS
@@ -33,7 +35,8 @@ def positions(
     ``tool``: which point was measured, one name or N. For all else a row may have, see :func:`read_measurements`, which
     takes arrays by name. Raises MeasurementError for arrays of other shapes, or values that are not finite numbers.
     """
-    return read_measurements(_columns(robot, readings, xyz, tool), robot, "position", sigma=sigma)
+    p = _rows(xyz, 3, "xyz")
+    return read_measurements(_columns(robot, readings, tool, xyz=p) | _position(p), robot, "position", sigma=sigma)
 
 
 @checked
@@ -62,8 +65,8 @@ def poses(
             f"placements: row {int(np.argmax(bad)) + 1} is not a placement; needed are a rotation, a finite position "
             "and a last row 0 0 0 1."
         )
-    turned = rigid.quaternion_of(T[:, :3, :3])
-    columns = _columns(robot, readings, T[:, :3, 3], tool) | dict(zip(QUATERNION_COLUMNS, turned.T, strict=True))
+    columns = _columns(robot, readings, tool, placements=T) | _position(T[:, :3, 3])
+    columns |= dict(zip(QUATERNION_COLUMNS, rigid.quaternion_of(T[:, :3, :3]).T, strict=True))
     return read_measurements(columns, robot, "pose", sigma=(sigma, sigma_angle))
 
 
@@ -81,7 +84,7 @@ def distances(
     found = np.asarray(lengths, dtype=np.float64)
     if found.ndim != 1:
         raise MeasurementError(f"lengths of shape {found.shape}: needed is (N,).")
-    columns = _columns(robot, readings, None, tool) | {"length [m]": found}
+    columns = _columns(robot, readings, tool, lengths=found) | {"length [m]": found}
     return read_measurements(columns | {"target": _names(anchor, len(found), "anchor")}, robot, "distance", sigma=sigma)
 
 
@@ -95,24 +98,29 @@ def sockets(
     tool: str | Sequence[str] | None = None,
 ) -> Measurements:
     """Return touches of sockets: the tool point was in the socket that the N ``names`` name; as :func:`positions`."""
-    columns = _columns(robot, readings, None, tool)
-    return read_measurements(columns | {"target": _names(names, None, "names")}, robot, "socket", sigma=sigma)
+    columns = _columns(robot, readings, tool, names=names)
+    return read_measurements(columns | {"target": list(names)}, robot, "socket", sigma=sigma)
 
 
 def _columns(
-    robot: Robot, readings: npt.ArrayLike, xyz: npt.ArrayLike | None, tool: str | Sequence[str] | None
+    robot: Robot, readings: npt.ArrayLike, tool: str | Sequence[str] | None, **measured: Sized
 ) -> dict[str, Any]:
+    """Return the columns of readings and tools; what was ``measured``, by name, must have as many rows."""
     q = _rows(readings, len(robot.readings), "readings")
+    for what, values in measured.items():
+        if len(values) != len(q):
+            raise MeasurementError(f"{what}: {counted(len(values), 'row')} for {counted(len(q), 'row')} of readings.")
     unit = {"angle": "rad", "length": "m"}
     columns: dict[str, Any] = {
         f"{reading.name} [{unit[reading.dimension]}]": q[:, k] for k, reading in enumerate(robot.readings)
     }
-    if xyz is not None:
-        p = _rows(xyz, 3, "xyz")
-        columns |= {f"{axis} [m]": p[:, k] for k, axis in enumerate("xyz")}
     if tool is not None:
         columns["tool"] = _names(tool, len(q), "tool")
     return columns
+
+
+def _position(p: Array) -> dict[str, Any]:
+    return {f"{axis} [m]": p[:, k] for k, axis in enumerate("xyz")}
 
 
 def _rows(values: npt.ArrayLike, width: int, what: str) -> npt.NDArray[np.float64]:
@@ -125,8 +133,8 @@ def _rows(values: npt.ArrayLike, width: int, what: str) -> npt.NDArray[np.float6
     return found
 
 
-def _names(names: str | Sequence[str], count: int | None, what: str) -> list[str]:
-    found = [names] * (count or 0) if isinstance(names, str) else list(names)
-    if count is not None and len(found) != count:
+def _names(names: str | Sequence[str], count: int, what: str) -> list[str]:
+    found = [names] * count if isinstance(names, str) else list(names)
+    if len(found) != count:
         raise MeasurementError(f"{what}: {len(found)} names are given for {count} rows.")
     return found

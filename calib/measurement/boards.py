@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from calib.foundations.arguments import own_fields, refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
@@ -55,7 +55,6 @@ class Board:
     modes: Array = field(init=False, default_factory=lambda: read_only(np.zeros((0, 3, 0))))
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
         own_fields(self)
         refuse_shape(self.marks, (None, 3), "board: marks")
         refuse_beyond(self.marks, "position, station, point", "board: marks")

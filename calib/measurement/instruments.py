@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
@@ -38,7 +38,7 @@ class LaserTracker:
     station: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         refuse_beyond(self.sigma, "instruments.sigma", "laser tracker: sigma")
         refuse_beyond(self.sigma_per_metre, "sigma_per_metre", "laser tracker: sigma_per_metre")
         refuse_beyond(self.station, "position, station, point", "laser tracker: station")
@@ -89,7 +89,7 @@ class Camera:
     lens_sigma: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         refuse_other(self.camera_on, get_args(CameraPlace), "camera: camera_on")
         for name in NAMES:
             if (value := getattr(self, name)) is not None:

@@ -301,6 +301,14 @@ class Measurements:
         return replace(_of_rows(self, index), group=group)
 
 
+def as_sets(measurements: Measurements | Sequence[Measurements]) -> tuple[Measurements, ...]:
+    """Return one or several sets of measurements as several. Raises MeasurementError when there is none."""
+    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    if not sets:
+        raise MeasurementError("there are no measurements to identify from.")
+    return sets
+
+
 _Rows = TypeVar("_Rows", "End", "Measurements")
 
 

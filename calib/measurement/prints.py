@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
@@ -42,7 +42,7 @@ class Print:
     shape: PrintShape = "auto"
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         if self.kind not in get_args(PrintKind):
             raise JobError(f"board: kind is {self.kind!r}; allowed are {', '.join(get_args(PrintKind))}.")
         if self.shape not in get_args(PrintShape):

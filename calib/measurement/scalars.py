@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields
 
 ScalarUnit = Literal["m", "rad", "px", "s", "s/s", "1"]
 
@@ -32,4 +32,4 @@ class Scalar:
     weak_prior: float = math.inf
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.csv_text import without_marks
 from calib.foundations.errors import MeasurementError
@@ -120,7 +120,7 @@ class Columns:
     where_present: bool = False
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
 
 
 AS_WRITTEN = Columns()

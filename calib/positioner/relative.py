@@ -18,7 +18,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.chance import shown_noise
 from calib.foundations.errors import IdentificationError, MeasurementError
-from calib.foundations.ranges import refuse_sigma
+from calib.foundations.ranges import finite, refuse_sigma
 
 # Points on a line leave a turn about it open; a width below this share of their length is rounding.
 _LINE = 1e-7
@@ -46,7 +46,7 @@ class RelativeBase:
 
     def sigma_at(self, points_b: npt.ArrayLike) -> Array:
         """Return the expected 3D error (rms, m) of carrying points (N, 3) from b to a, to first order."""
-        x = np.asarray(points_b, dtype=np.float64)
+        x = finite(points_b, (None, 3), "the points to carry must be finite numbers (N, 3), in m.")
         J = np.concatenate([np.broadcast_to(np.eye(3), (len(x), 3, 3)), -rigid.skew(x)], axis=2)
         return np.asarray(np.sqrt(np.einsum("nij,jk,nik->n", J, self.covariance, J)))
 

@@ -1,29 +1,33 @@
 """A fit as pandas DataFrames, in SI units; pandas is imported when one is asked for."""
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from calib.foundations.arguments import checked
 from calib.foundations.errors import OutputError
+from calib.foundations.words import refuse_other
 from calib.identification.fit import Fit
 from calib.presentation.sheets import correlation
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+What = Literal["parameters", "residuals", "correlations"]
 _LENGTHS = ("x", "y", "z")
 _ANGLES = ("rx", "ry", "rz")
 
 
 @checked
-def data_frame(fit: Fit, what: Literal["parameters", "residuals", "correlations"] = "parameters") -> "DataFrame":
+def data_frame(fit: Fit, what: What = "parameters") -> "DataFrame":
     """Return the parameters of a fit, its residuals, or the correlations of the identifiable parameters.
 
     ``parameters``: a row for each, by name: value, unit, sigma (nan where not identifiable), prior, identifiable, weak.
     ``residuals``: a row for each measured one: file, line, tool, and measured minus predicted of every coordinate,
-    before and after, in m and rad. ``correlations``: square, by names. Raises OutputError where pandas is missing.
+    before and after, in m and rad. ``correlations``: square, by names. Raises JobError for another
+    word, OutputError where pandas is missing.
     """
+    refuse_other(what, get_args(What), "what")
     try:
         import pandas as pd  # noqa: PLC0415 - calib must not load it on import
     except ImportError as e:

@@ -16,6 +16,7 @@ from calib.assessment.metrics import error_norms
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.errors import OutputError
+from calib.foundations.words import refuse_other
 from calib.identification.fit import Fit
 from calib.measurement.kinds import UNIT_OF
 from calib.presentation.sheets import SHOWN, correlation
@@ -99,8 +100,11 @@ def plot(fit: Fit, what: Literal["errors", "parameters", "correlations"] = "erro
 
     ``errors``: which share of its rows has which error, before and after. ``parameters``: values of the robot's
     parameters with two sigmas, where identifiable. ``correlations``: of the uncertainties of identifiable parameters.
+    Raises JobError for another word.
     """
-    return {"errors": _errors, "parameters": _parameters, "correlations": _correlations}[what](fit)
+    figures = {"errors": _errors, "parameters": _parameters, "correlations": _correlations}
+    refuse_other(what, figures, "what")
+    return figures[what](fit)
 
 
 def _errors(fit: Fit) -> "Figure":

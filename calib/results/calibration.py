@@ -203,13 +203,16 @@ def assess(
     ``data``: all tables to identify from, if the fit is a level that used only some of them. ``residual_model``: what
     the machine adds to positions. ``names``: names of the tables, first those to identify from; by default where they
     come from. ``findings``: what looks wrong in the data; when None, it is found here. ``trace``: that of the total
-    differential that led to the fit. Raises MeasurementError when held-out data are of tools or targets that the fit
-    does not know.
+    differential that led to the fit. Raises MeasurementError when held-out data have no rows, or are of tools or
+    targets that the fit does not know.
     """
     validation = (held_out,) if isinstance(held_out, Measurements) else tuple(held_out)
     own = fit.measurements if data is None else tuple(data)
     if not own:
         raise MeasurementError("data: there are no tables to judge the fit by.")
+    for table in (*own, *validation):
+        if not len(table):
+            raise MeasurementError(f"{table.where}: has no rows to judge by.")
     tables = at_clocks(fit, (*own, *validation))
     own, validation = tables[: len(own)], tables[len(own) :]
     given = tuple(names) if names is not None else tuple(table.where for table in tables)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.foundations.arguments import own_fields, refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
@@ -44,7 +44,6 @@ class Conditions:
     ordered: bool = False
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
         own_fields(self)
 
     @property

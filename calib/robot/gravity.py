@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array, BoolArray, read_only_view
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond
@@ -43,7 +43,7 @@ class Payload:
     link: str = ""
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         refuse_beyond(self.mass, "mass", "payload: mass", RobotError)
         refuse_beyond(self.position, "position, station, point", "payload: position", RobotError)
 
@@ -65,7 +65,7 @@ class Load:
     payload: Payload | None = None
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         refuse_beyond(self.gravity, "gravity", "load: gravity", RobotError)
 
 

@@ -11,9 +11,10 @@ from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.foundations import rigid
-from calib.foundations.arguments import checked, own_fields, refuse_fields
+from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, as_slice, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
@@ -60,7 +61,6 @@ class Coupling:
     offset: float = 0.0
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
         own_fields(self)
         refuse_beyond(list(self.drivers.values()), "coupling.drivers", f"coupling of {self.joint!r}", RobotError)
         # Whether it is an angle or a length, the joint says; that of a length has the wider range.
@@ -81,7 +81,7 @@ class ClosedLoop:
     passive: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         if alien := next((word for word in self.closes if word not in ("x", "y", "z")), None):
             raise RobotError(f"loop {self.name!r}: closes {alien!r}; allowed are 'x', 'y' and 'z'.")
 
@@ -117,7 +117,6 @@ class Deviations:
     terms: Array = field(default_factory=lambda: read_only(np.zeros(0)))
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
         own_fields(self)
         for name, shape in (("placements", (None, 6)), ("offsets", (None,)), ("terms", (None,))):
             refuse_shape(getattr(self, name), shape, f"deviations: {name}", RobotError)
@@ -380,28 +379,28 @@ class Robot:
         """Return tip placements and derivatives at readings (N, nr). Raises as joint_positions does."""
         return TipModel(self, deviations).motion(self.own(readings), conditions)
 
-    def own(self, readings: Array) -> Array:
+    def own(self, readings: npt.ArrayLike) -> Array:
         """Return readings (N, nr) as they are, in double precision.
 
         Raises RobotError when they have not a column for each of this robot's, or one is not a number up to
         ``LARGEST_READING``.
         """
-        if readings.ndim != 2 or readings.shape[1] != len(self.readings):
+        found = np.asarray(readings, dtype=np.float64)
+        if found.ndim != 2 or found.shape[1] != len(self.readings):
             names = ", ".join(reading.name for reading in self.readings)
             raise RobotError(
-                f"readings of shape {readings.shape}: needs (N, {len(self.readings)}), a column for each of {names}."
+                f"readings of shape {found.shape}: needs (N, {len(self.readings)}), a column for each of {names}."
             )
-        readings = np.asarray(readings, dtype=np.float64)
         for k, reading in enumerate(self.readings):
             # A comparison with nan is false.
-            within = np.abs(readings[:, k]) <= LARGEST_READING
+            within = np.abs(found[:, k]) <= LARGEST_READING
             if not within.all():
                 row, unit = int(np.argmin(within)), "rad" if reading.dimension == "angle" else "m"
                 raise RobotError(
-                    f"readings: row {row + 1} of {reading.name!r} is {readings[row, k]:g}; allowed is "
+                    f"readings: row {row + 1} of {reading.name!r} is {found[row, k]:g}; allowed is "
                     f"{-LARGEST_READING:g} to {LARGEST_READING:g} {unit}."
                 )
-        return readings
+        return found
 
 
 class TipModel:

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 import calib
-from calib.foundations.arguments import checked, refuse_fields
+from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import JobError
 from calib.identification.relations import Relation
@@ -138,7 +138,7 @@ def test_fields_are_held_against_their_annotations() -> None:
         name: str = ""
 
         def __post_init__(self) -> None:
-            refuse_fields(self)
+            own_fields(self)
 
     Thing(1.0, "a")
     with pytest.raises(JobError, match=r"^Thing: name is None; needs a text\.$"):
@@ -180,6 +180,28 @@ def test_slips_of_python_users_are_sentences() -> None:
         (lambda: calib.planning.Views(data), "Views: fit is a Measurements; needs a Fit."),  # type: ignore[arg-type]
         (lambda: calib.planning.roughly([0.1]), "tool: needs three lengths x, y, z in m."),
         (lambda: calib.planning.self_collision(robot, (), np.array(5.0)), "readings has the shape (); needed is"),
+        (lambda: calib.data_frame(fit, "values"), "what: 'values' is not one of parameters, residuals, correlations."),  # type: ignore[arg-type]
+        (lambda: calib.plot(fit, "values"), "what: 'values' is not one of errors, parameters, correlations."),  # type: ignore[arg-type]
+        (lambda: calib.judging.cross_validate(model, []), "there are no measurements to identify from."),
+        (lambda: calib.judging.compare_models({"a": model}, []), "there are no measurements to identify from."),
+        (lambda: calib.assess(fit, data.subset([])), "has no rows to judge by."),
+        (lambda: calib.judging.bootstrap(fit, np.zeros(6)), "readings of shape (6,): needs (N, 6), a column for each"),
+        (lambda: calib.judging.bootstrap(fit, np.zeros((1, 6)), seed=-1), "seed is -1; allowed is 0 or more."),
+        (lambda: calib.planning.random_candidates(robot, calib.planning.roughly(), 5, seed=-1), "seed is -1;"),
+        (lambda: calib.planning.possible(robot, calib.planning.roughly(), np.zeros((3, 5))), "of shape (3, 5): needs"),
+        (lambda: calib.plan(model, 10, candidates=30, measured=np.zeros((3, 5))), "readings of shape (3, 5): needs"),
+        (
+            lambda: calib.plan(
+                model, 10, candidates=30, measurement=calib.planning.PlannedMeasurement(working=np.zeros((3, 2)))
+            ),
+            "readings of shape (3, 2): needs",
+        ),
+        (lambda: calib.positions(robot, data.readings[1:], data.position), "xyz: 60 rows for 59 rows of readings."),  # type: ignore[arg-type]
+        (lambda: calib.measuring.sockets(robot, data.readings, ["a"]), "names: 1 row for 60 rows of readings."),
+        (
+            lambda: calib.positioner.relative_base(np.eye(3), np.eye(3)).sigma_at(np.zeros(3)),
+            "the points to carry must be finite numbers (N, 3), in m.",
+        ),
     ):  # fmt: skip
         with pytest.raises(calib.CalibError) as caught:
             slip()
@@ -298,3 +320,43 @@ def test_a_matrix_is_refused_in_a_sentence() -> None:
     matrix = np.eye(4).view(np.matrix)
     with pytest.raises(calib.CalibError, match="base is a matrix of float64; needs an array of numbers"):
         calib.CalibratedMachine(robot, deviations, matrix, {"tool": np.eye(4)})
+
+
+def test_numbers_of_numpy_become_those_of_python() -> None:
+    @checked
+    def told(count: int, least: float) -> tuple[type, type]:
+        return type(count), type(least)
+
+    assert told(np.int8(3), least=np.float32(0.5)) == (int, float)  # type: ignore[arg-type]
+    term = calib.JointTerm("joint_2", "cos", np.int64(2))  # type: ignore[arg-type]
+    assert type(term.order) is int
+    payload = calib.measuring.Payload(np.float32(2.0), np.array([0.0, 0.0, 0.1]))  # type: ignore[arg-type]
+    assert payload == calib.measuring.Payload(2.0, (0.0, 0.0, 0.1))
+
+
+def test_orders_of_an_array_are_saved(tmp_path: Path) -> None:
+    robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+    data = calib.read_measurements(CASE / TABLE, robot, sigma=2e-5)
+    terms = [calib.JointTerm("joint_2", "cos", order) for order in np.arange(1, 3)]
+    fit = calib.identify(calib.error_model(robot, offsets="all", terms=terms), data)
+    assert [term.order for term in calib.load_machine(calib.save(fit, tmp_path / "out")).robot.terms] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("make", "given"),
+    [
+        (lambda given: calib.measuring.Payload(1.0, given), [0.0, 0.0, 0.1]),
+        (calib.measuring.Load, [0.0, 0.0, -9.8]),
+        (lambda given: calib.measuring.LaserTracker(1e-5, 1e-6, given), [1.0, 0.0, 0.0]),
+        (lambda given: Relation("distance", given, 1.0, 1e-5), ["a", "b"]),
+        (lambda given: calib.ClosedLoop("loop", ("a", "b"), ("x",), given), ["j"]),
+        (lambda given: calib.measuring.Columns({}, given), ["noise"]),
+        (lambda given: calib.Known(relations=given), [Relation("distance", ("a", "b"), 1.0, 1e-5)]),
+        (lambda given: calib.dh.DhTable("standard", given), [calib.dh.DhRow("j", "revolute", 0.1, 0.2, 0.0, 0.0)]),
+    ],
+)
+def test_lists_that_change_later_change_nothing(make: Callable[[list[Any]], object], given: list[Any]) -> None:
+    made = make(given)
+    before = repr(made)
+    given.clear()
+    assert repr(made) == before

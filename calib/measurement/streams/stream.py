@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
@@ -52,7 +52,7 @@ class Clock:
     of: OneClock | None = None
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         refuse_other(self.kind, get_args(ClockFreedom), "clock")
         if self.gap is not None:
             refuse_beyond(self.gap, "gap", "clock: gap")

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import get_args
 
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.choices import Convention
 from calib.foundations.errors import JobError
 from calib.foundations.selection import Selection
@@ -28,7 +28,7 @@ class Free:
     placements: Selection = "none"
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         refuse_other(self.convention, get_args(Convention), "dh_convention")
         if not 0.0 <= self.parallel <= 0.5:
             raise JobError(f"dh_parallel: {self.parallel!r} is not an angle between 0 and 0.5 rad.")

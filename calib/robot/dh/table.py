@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arguments import own_fields, refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
@@ -43,7 +43,7 @@ class DhRow:
     beta: float = 0.0
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         refuse_other(self.type, get_args(RowType), f"DH table: type of joint {self.joint!r}", RobotError)
         if not np.isfinite([getattr(self, number) for number in NUMBERS]).all():
             raise RobotError(f"DH table: joint {self.joint!r} has a number that is not finite.")
@@ -91,7 +91,6 @@ class DhTable:
     tool: Array = field(default_factory=lambda: read_only(np.eye(4)))
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
         own_fields(self)
         check_convention(self.convention)
         names = [row.joint for row in self.rows]

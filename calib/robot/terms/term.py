@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from calib.foundations.arguments import refuse_fields
+from calib.foundations.arguments import own_fields
 from calib.foundations.errors import JobError
 
 WHOLE_ARM = "arm"
@@ -25,7 +25,7 @@ class JointTerm:
     body: str = ""
 
     def __post_init__(self) -> None:
-        refuse_fields(self)
+        own_fields(self)
         if not 0 <= self.order <= LARGEST:
             raise JobError(f"joint term of {self.reading!r}: order is {self.order}; allowed are 0 to {LARGEST}.")
 
