@@ -53,6 +53,16 @@ def test_error_in_a_process_of_its_own(folder: Path) -> None:
     assert not (folder / "out").exists()
 
 
+def test_a_current_folder_that_is_removed(folder: Path) -> None:
+    """Of a path that leads out of it, nothing can say any more where it ends."""
+    gone = "import os; os.mkdir('gone'); os.chdir('gone'); os.rmdir(os.getcwd()); "
+    done = subprocess.run(
+        [sys.executable, "-c", gone + MAIN, "check", f"../{JOB}"], cwd=folder, capture_output=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (1, b"")
+    assert done.stderr == b"Error: the current folder is gone: it was removed or renamed; go to another one.\n"
+
+
 def test_an_error_is_told_to_a_terminal_that_says_it_has_no_width(folder: Path) -> None:
     done = process("check", "no.toml", COLUMNS="0")
     assert (done.returncode, done.stderr) == (1, b"Error: no.toml: there is no such file.\n")

@@ -42,6 +42,10 @@ def main() -> None:
         sys.stderr.write(f"Error: {LITTLE_MEMORY}\n")
         sys.exit(BAD_INPUT)
     except OSError as error:
+        # Whose own folder is asked for, and is no more.
+        if error.errno == errno.ENOENT and error.filename is None:
+            _say("the current folder is gone: it was removed or renamed; go to another one.")
+            sys.exit(BAD_INPUT)
         # Of --help and --version, which are written by others.
         if error.errno not in (errno.ENOSPC, errno.EFBIG, errno.EDQUOT) or error.filename is not None:
             raise
