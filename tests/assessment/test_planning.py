@@ -264,3 +264,24 @@ def test_no_random_candidates() -> None:
     robot = calib.load_robot(parse_urdf(ARM.encode(), "arm.urdf"), "tip")
     with pytest.raises(JobError, match=r"^0 random poses are asked for; it takes one at least\.$"):
         random_candidates(robot, Frames(np.eye(4)[None], np.eye(4)[None]), 0)
+
+
+def test_joints_that_their_limits_hold_in_one_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some are told; where no joint has any room, all poses would be one."""
+    monkeypatch.chdir(tmp_path)
+    whole = (CASE / "arm_cmm.urdf").read_text(encoding="utf-8")
+    held = re.sub(r'lower="[^"]*" upper="[^"]*"', "", whole)
+    some = held.replace("<limit ", '<limit lower="-1" upper="1" ', 5)
+    Path("some.urdf").write_text(some, encoding="utf-8")
+    Path("held.urdf").write_text(held, encoding="utf-8")
+    common = ("-o", "poses.csv", "-n", "12", "--candidates", "30")
+    said = run("plan", "some.urdf", *common)
+    assert said.code == 0
+    assert "some.urdf: limits leave no room to 'joint_6': no pose moves them" in said.out.replace("\n", " ")
+    Path("poses.csv").unlink()
+    assert run("plan", "held.urdf", *common) == (
+        *(1, ""),
+        "Error: held.urdf: the limits of its joints leave no room to move, so that there is one pose; a <limit> "
+        "without lower and upper is from 0 to 0.\n",
+    )
+    assert not Path("poses.csv").exists()
