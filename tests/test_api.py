@@ -138,6 +138,13 @@ def test_frames_and_arrays_give_the_fit_of_the_file() -> None:
     assert [record["name"] for record in by_file.records()] == [parameter.name for parameter in by_file.parameters]
 
 
+def test_rows_of_a_fit_cannot_be_written_to() -> None:
+    (data,) = fit_of(CASE / TABLE).measurements
+    arrays = {name: value for name in data.__slots__ if isinstance(value := getattr(data, name), np.ndarray)}
+    assert {"readings", "tool", "setup", "target"} <= set(arrays)
+    assert not [name for name, array in arrays.items() if array.flags.writeable]
+
+
 def test_frame_is_not_changed() -> None:
     frame = pd.read_csv(CASE / TABLE, comment="#", skipinitialspace=True)
     before = frame.copy(deep=True)

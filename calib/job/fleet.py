@@ -85,6 +85,8 @@ def fleet_jobs(paths: Sequence[Path], out: Path) -> tuple[FleetJob, ...]:
         key = normalize("NFC", name).casefold()  # some file systems know no capitals, or one way to write an accent
         if key in SUMMARIES:
             raise JobError(f"{path}: its results would be written to {out / name}, where a summary belongs; rename it.")
+        if key in found and found[key].path.absolute() == path.absolute():
+            raise JobError(f"{path}: is named twice; name every job once.")
         if key in found:
             raise JobError(f"{found[key].path} and {path}: both would be written to {out / name}; rename one of them.")
         found[key] = FleetJob(path, name, out / name)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.foundations.arrays import BoolArray, IntArray
+from calib.foundations.arrays import BoolArray, IntArray, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS
 from calib.identification import targets
@@ -108,7 +108,7 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
     def numbered(old: Sequence[str], new: Sequence[str], numbers: IntArray) -> IntArray:
         # -1 stays what it is: none.
         place = {name: k for k, name in enumerate(new)}
-        return np.array([*(place[name] for name in old), -1], dtype=np.intp)[numbers]
+        return read_only_view(np.array([*(place[name] for name in old), -1], dtype=np.intp)[numbers])
 
     return tuple(
         replace(
