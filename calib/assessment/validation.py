@@ -97,7 +97,7 @@ def row_groups(measurements: Sequence[Measurements], *, places: bool = False) ->
 
 @checked
 def hold_out(
-    data: Measurements, share: float = 0.25, *, places: Collection[str] | None = None
+    data: Measurements, share: float = 0.25, *, places: Collection[str] | None = None, keep: Collection[str] = ()
 ) -> tuple[Measurements, Measurements]:
     """Return the rows to identify from, and the held-out rows, which judge the fit.
 
@@ -105,7 +105,8 @@ def hold_out(
         some, rest = calib.hold_out(data, places=["left"])  # all that was touched or grouped there
 
     ``share``: how many of the groups to hold out; rows of one pose, one socket or one ``group`` stay together, and of
-    several tools or set-ups none is left with fewer measured numbers than a pose has.
+    several tools or set-ups none is left with fewer measured numbers than a pose has. Nor is a target that is named in
+    ``keep``, as those of relations are: a known length between two sockets says nothing once one of them is held out.
     ``places``: instead of a share, names of sockets and other targets, or words of the column ``group``. Neither part
     has targets without rows. Raises MeasurementError when a place is not known, or when one part would have no rows;
     JobError for a share that is not between 0 and 1.
@@ -117,11 +118,11 @@ def hold_out(
         number = int(group.max(initial=0)) + 1
         if number < 2:
             raise MeasurementError(f"{data.where}: the rows are of one pose or one group, and none can be held out.")
-        out = _at_random(data, group, min(max(round(share * number), 1), number - 1))
+        out = _at_random(data, group, min(max(round(share * number), 1), number - 1), keep)
         if not out.any():
             raise MeasurementError(
-                f"{data.where}: no rows can be held out, as too few of their tools and set-ups would be left; name "
-                "places, or measure more with each."
+                f"{data.where}: no rows can be held out, as too few of their tools and set-ups, or of targets "
+                "to keep, would be left; name places, or measure more with each."
             )
     else:
         words = [{data.targets[t]} if t >= 0 else set() for t in data.target]
@@ -137,17 +138,20 @@ def hold_out(
     return data.subset(~out).with_own_names(), data.subset(out).with_own_names()
 
 
-def _at_random(data: Measurements, group: IntArray, many: int) -> BoolArray:
+def _at_random(data: Measurements, group: IntArray, many: int, keep: Collection[str]) -> BoolArray:
     """Return the rows (N,) of ``many`` groups at random, or of fewer: none that a tool or a set-up needs.
 
-    One of several tools or set-ups needs as many measured numbers as a pose has.
+    One of several tools or set-ups needs as many measured numbers as a pose has, and so does a target to ``keep``.
     """
     each = data.sigma.shape[1]
     order = np.random.default_rng(0).permutation(int(group.max()) + 1)
     parts = [own for own in _setups_and_tools(data) if np.unique(own).size > 1]
+    kept = np.array([t if t >= 0 and data.targets[t] in keep else -1 for t in data.target], dtype=np.intp)
+    if np.any(kept >= 0):
+        parts.append(kept)
     if not parts:
         return np.isin(group, order[:many])
-    # How many numbers each group has of each tool and set-up.
+    # How many numbers each group has of each tool, set-up and target.
     counted = [
         scipy.sparse.coo_array(
             (np.full(np.count_nonzero(own >= 0), each), (group[own >= 0], own[own >= 0])),

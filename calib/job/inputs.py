@@ -88,7 +88,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
             of = tables.of_one_clock(section, before)
             data = tables.measurements_of(section, job, robot, folder, arms, prints, lenses, doubts, of)
             before.append((own, data))
-        sets.append(data if section.hold_out is None else tables.shared_out(data, section.hold_out, section.use))
+        sets.append(data if section.hold_out is None else tables.shared_out(data, section, job))
     seen = any(data.camera is not None for data in sets)
     sets, optics = tables.with_optics(job, sets, prints, progress) if seen else (sets, ())
     refusals.refuse_open_loops(robot, sets)
@@ -99,7 +99,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     refusals.refuse_unknown_names(job, sets, path)
     refusals.refuse_wrong_shapes(job, sets, path)
     whole, model = model, model.within(chosen)
-    doubts += refusals.found_from_held_out(whole, chosen, held_out)
+    doubts += [*refusals.found_from_held_out(whole, chosen, held_out), *refusals.relations_left_out(whole, model, path)]
     refusals.refuse_no_noise(job, sets, path)
     doubts += [
         *refusals.weights_not_known(model, sets),

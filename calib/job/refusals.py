@@ -142,6 +142,18 @@ def found_from_held_out(
             )
 
 
+def relations_left_out(whole: ErrorModel, model: ErrorModel, path: Path) -> Iterator[Finding]:
+    """Yield the relations of the ``whole`` job that its ``model`` of what is identified lacks."""
+    for relation in whole.relations:
+        if relation not in model.relations:
+            a, b = map(repr, relation.targets)
+            yield Finding.warning(
+                "relation-left-out",
+                f"{path}: relations: the known {relation.kind} of {a} and {b} is not used, as not both are in a "
+                "table to identify from.",
+            )
+
+
 def weights_not_known(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Finding]:
     """Yield tables that tell joints on which something hangs whose weight matters, and which the arm does not know."""
     if model.robot.weights is None or not model.robot.weights.bodies:

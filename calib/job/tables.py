@@ -99,13 +99,17 @@ def with_held_out(job: Job) -> Job:
     return job.model_copy(update={"measurements": (*job.measurements, *again)})
 
 
-def shared_out(data: Measurements, share: float, use: str) -> Measurements:
+def shared_out(data: Measurements, section: MeasurementsSection, job: Job) -> Measurements:
     """Return what of a table is of one use: whole groups of rows, spread at random but alike every time.
+
+    Targets of relations stay among those to identify from.
 
     Raises MeasurementError when the rows are of one pose or one group.
     """
-    kept, held_out = hold_out(data, share)
-    return held_out if use == "validate" else kept
+    assert section.hold_out is not None, "a table that holds out rows"
+    related = {name for relation in job.relations for name in relation.targets}
+    kept, held_out = hold_out(data, section.hold_out, keep=related)
+    return held_out if section.use == "validate" else kept
 
 
 def arms_of(job: Job, path: Path) -> dict[str, "ReadArm"]:
