@@ -314,13 +314,23 @@ def _set_up_motions(problem: Problem, split: Split) -> SetUpMotions | None:
 
 def _of_the_whole(problem: Problem, rates: Rates, at: Machine, whole: SetUpMotions | None) -> tuple[Array, Array]:
     """Return what is known between targets (k, c + 1), and directions (c, k) in which the whole set-up moves."""
-    names = problem.measurements[0].targets if problem.measurements else ()
-    numbers = sorted({names.index(name) for relation in problem.relations for name in relation.targets})
-    J, r = relate(problem.relations, [names[t] for t in numbers], at.frames.targets[numbers])
-    related = np.column_stack([np.einsum("kmi,mic->kc", J, rates.of_targets.twists(numbers)), r])
+    related = _related(problem, rates, at)
     if whole is None:
         return related, np.zeros((related.shape[1] - 1, 0))
     return related, whole.directions(problem.measurements, at, rates.of_targets, rates.of_scalars)
+
+
+def related(problem: Problem, x: Array) -> Array:
+    """Return the relations (k, p + 1) of an :class:`Evaluation` at ``x``, all parameters being common."""
+    at = problem.machine(x)
+    return _related(problem, problem.rates(at, scales(problem.parameters)), at)
+
+
+def _related(problem: Problem, rates: Rates, at: Machine) -> Array:
+    names = problem.measurements[0].targets if problem.measurements else ()
+    numbers = sorted({names.index(name) for relation in problem.relations for name in relation.targets})
+    J, r = relate(problem.relations, [names[t] for t in numbers], at.frames.targets[numbers])
+    return np.column_stack([np.einsum("kmi,mic->kc", J, rates.of_targets.twists(numbers)), r])
 
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:

@@ -12,7 +12,9 @@ from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.linear import triangle
 from calib.foundations.units import MM
 from calib.identification.fit import Fit
+from calib.identification.machine import values_at
 from calib.identification.parameters import scales
+from calib.identification.system import Problem, related
 from calib.measurement.checks import Finding
 
 # What a joint that did not move leaves, in rad or m.
@@ -86,7 +88,7 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
     if abs(scale) > max(most, SURE * sigma) and abs(scale) * moves > SCALED:
         said = (
             f"All links seem {100.0 * scale:+.2g} % longer than in the URDF: is it the URDF of this robot, and are the "
-            "instrument's lengths true?"
+            "instrument's lengths, and those stated, true?"
         )
         return Check.of("lengths", abs(scale), most, False, said)
     if worst > 1.0:
@@ -110,24 +112,39 @@ def _common_scale(
     """Return by which share all links are longer, its standard error, and by how many m (rms) all of it moves the tool.
 
     Last, how much of what lengths do to the tool this share explains, of 1. Other parameters take up what they can:
-    where these are most of it, such as where joints slide, little is left that tells a share. Nan where nothing shows
-    it.
+    where these are most of it, such as where joints slide, little is left that tells a share. A length known between
+    targets tells it as rows do; it moves what was touched by its own share. Nan where nothing shows it.
     """
     if not moved.any() or not parts:
         return (NOTHING,) * 4
     own = parts[0].columns
-    R = triangle(np.concatenate([part.J.reshape(-1, len(own)) for part in parts]))
+    known, sigmas = _known_lengths(fit)
+    R = triangle(np.concatenate([*(part.J.reshape(-1, len(own)) for part in parts), known[:, own]]))
     values, units, moved = np.column_stack([fit.values, scaled])[own], scales(fit.parameters)[own], moved[own]
-    x = R[:, moved] @ (values[moved] / units[moved, None])
+    longer = values[moved] / units[moved, None]
+    x = R[:, moved] @ longer
     others = R[:, ~moved]
-    left = x - others @ np.linalg.lstsq(others, x, rcond=1e-9)[0]
+    taken = np.linalg.lstsq(others, x, rcond=1e-9)[0]
+    left = x - others @ taken
     square = float(left[:, 1] @ left[:, 1])
     if square <= 1e-6 * float(x[:, 1] @ x[:, 1]):
         return (NOTHING,) * 4
-    moves = float(np.sqrt(square / sum(len(part.r) for part in parts))) / per_metre(parts)
+    apart = known[:, own][:, moved] @ longer - known[:, own][:, ~moved] @ taken
+    by_rows = square - float(apart[:, 1] @ apart[:, 1])
+    moves = float(np.sqrt(max(by_rows, 0.0) / sum(len(part.r) for part in parts))) / per_metre(parts)
+    moves = max(moves, float(np.abs(apart[:, 1] * sigmas).max(initial=0.0)))
     both, whole = float(left[:, 0] @ left[:, 1]), float(left[:, 0] @ left[:, 0])
     alike = both**2 / (square * whole) if whole > 0.0 else 0.0
     return both / square, 1.0 / float(np.sqrt(square)), moves, alike
+
+
+def _known_lengths(fit: Fit) -> tuple[Array, Array]:
+    """Return how lengths known between targets follow the parameters (k, p), whitened, and their sigmas (k,) in m."""
+    lengths = tuple(relation for relation in fit.model.relations if relation.kind != "angle")
+    frames, deviations = fit.machine.frames, fit.machine.deviations
+    problem = Problem(fit.model, fit.parameters, frames, fit.measurements, deviations, lengths, fit.losses)
+    x = values_at(fit.model.robot, fit.parameters, frames, deviations)
+    return related(problem, x)[:, :-1], np.array([relation.sigma for relation in lengths])
 
 
 def tool_and_base(fit: Fit) -> Check:
