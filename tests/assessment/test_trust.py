@@ -30,6 +30,7 @@ from calib.identification.identify import with_values
 from calib.machine.of_fit import machine_of
 from calib.measurement.checks import Finding
 from tests.support import cameras, machines
+from tests.support.touching import between, lab
 
 Array = np.ndarray
 UR5 = ("example:ur_description/urdf/ur5_robot.urdf", "tool0")
@@ -544,6 +545,19 @@ def test_lengths_that_are_all_too_long(cell: Cell, factor: float, passed: bool) 
     check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
     assert check.statistic == pytest.approx(abs(factor - 1.0), rel=0.1)
     assert check.passed == passed
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.97, 1.03])
+def test_a_known_distance_of_sockets_tells_the_share_of_all_lengths(factor: float) -> None:
+    """No touch of a socket tells the size: it is the stated distance alone, right or wrong."""
+    made = lab(noise=3e-5)
+    right = between("distance", "a", "b", 1e-5)
+    known = calib.Known(relations=[replace(right, value=factor * right.value)])
+    model = calib.error_model(made.robot, offsets="all", placements="all", base="fixed", known=known)
+    fit = calib.identify(model, made.sockets(25))
+    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    assert check.statistic == pytest.approx(abs(factor - 1.0), abs=5e-3)
+    assert check.passed == (factor == 1.0)
 
 
 def test_a_share_of_lengths_that_hardly_move_the_tool_is_no_other_robot() -> None:

@@ -22,6 +22,7 @@ from calib.assessment.validation import (
 )
 from calib.foundations.errors import JobError, MeasurementError
 from tests.support import machines
+from tests.support.touching import lab
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 
@@ -241,6 +242,18 @@ def test_another_group_is_held_out_where_the_one_by_chance_is_the_last_of_its_to
         some, rest = calib.hold_out(two)
         assert (len(some), len(rest)) == (40, 20)
         assert rest.tools == ("one",)
+
+
+def test_a_target_that_a_known_length_needs_is_not_held_out() -> None:
+    """Which socket was held out was chance, and a known distance of it to another one then said nothing."""
+    made = lab(noise=5e-5)
+    names = ("a", "b", "c")
+    data = made.sockets(6, names)
+    for out in names:
+        some, rest = calib.hold_out(data, keep=[name for name in names if name != out])
+        assert (set(some.targets), rest.targets) == (set(names) - {out}, (out,))
+    with pytest.raises(MeasurementError, match="or of targets to keep, would be left"):
+        calib.hold_out(data, keep=names)
 
 
 def test_by_chance_no_tool_that_has_several_groups_is_in_one_fold_alone() -> None:

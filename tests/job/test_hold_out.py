@@ -8,7 +8,8 @@ import pytest
 
 from calib.foundations.errors import MeasurementError
 from calib.job.inputs import load
-from tests.support.cases import JOB, TABLE, copy_case, edit, keep_rows, run
+from tests.support.cases import JOB, TABLE, copy_case, edit, keep_rows, run, write_table
+from tests.support.touching import SOCKETS, between, lab
 
 BEGIN = f'file = "{TABLE}"\n'
 
@@ -65,3 +66,44 @@ def test_one_row_cannot_be_shared_out(tmp_path: Path) -> None:
     keep_rows(TABLE, 1)(tmp_path)
     with pytest.raises(MeasurementError, match="none can be held out"):
         load(job)
+
+
+RELATED = """
+schema = 1
+[robot]
+urdf = "example:ur_description/urdf/ur10_robot.urdf"
+tip = "tool0"
+[error_model]
+offsets = "all"
+base = "fixed"
+[[relations]]
+targets = ["{0}", "{1}"]
+distance = "{2} m"
+sigma = "0.01 mm"
+[[measurements]]
+file = "some.csv"
+observes = "socket"
+hold_out = 0.34
+[[measurements]]
+file = "others.csv"
+observes = "socket"
+use = "validate"
+"""
+
+
+def test_sockets_of_a_known_distance_are_not_held_out(tmp_path: Path) -> None:
+    """The distance was left out without a word, and the warning asked for what the job has."""
+    made = lab(noise=3e-5)
+    for file, names in (("some.csv", ("a", "b", "c")), ("others.csv", ("other",))):
+        places = [SOCKETS.get(name, (0.3, 0.6, 0.2)) for name in names]
+        q = [made.touching(lambda x, c=place: x - c, made.scatter(6, 3)) for place in places]
+        write_table(tmp_path / file, made.columns(np.concatenate(q), target=np.repeat(names, 6).tolist()))
+    job = tmp_path / "job.toml"
+    for a, b in ("ab", "bc", "ca"):
+        job.write_text(RELATED.format(a, b, between("distance", a, b).value), encoding="utf-8")
+        inputs = load(job)
+        assert [relation.targets for relation in inputs.model.relations] == [(a, b)]
+        assert not {"relation-left-out", "size-unseen"} & {finding.code for finding in inputs.findings}
+    job.write_text(RELATED.format("a", "other", 0.4), encoding="utf-8")
+    said = " ".join(run("check", job).out.split())
+    assert "the known distance of 'a' and 'other' is not used, as not both are in a table to identify from" in said
