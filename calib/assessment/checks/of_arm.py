@@ -49,7 +49,11 @@ def joints(fit: Fit, own: Sequence[JudgedSet]) -> Check:
     ]
     still = [name for name, by in told if by <= REST]
     least = min((float(by) for _, by in told), default=np.inf)
-    said = "Every joint moved." if not still else f"Never moved, or never read: {', '.join(map(repr, still))}."
+    said = "Every joint moved."
+    if still:
+        said = (
+            f'Never moved, or never read: {", ".join(map(repr, still))}. Where a joint is locked, accept = ["joints"].'
+        )
     return Check.of("joints", least, REST, not still, said, least=True)
 
 
