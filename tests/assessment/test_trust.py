@@ -186,7 +186,8 @@ def test_what_the_user_answers_for_does_not_count(cell: Cell) -> None:
     assert (accepted.trusted, accepted.doubts) == (True, ())
     (check,) = (check for check in accepted.checks if check.name == "joints")
     assert check.sentence == (
-        "Never moved, or never read: 'wrist_2_joint'. Where a joint is locked, accept = [\"joints\"]. The job accepts this."
+        "Never moved, or never read: 'wrist_2_joint'. Where a joint is locked, accept = [\"joints\"]. "
+        "The job accepts this."
     )
     assert found.accepting(["lengths"]).doubts == found.doubts
 
