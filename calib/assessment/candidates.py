@@ -230,6 +230,11 @@ def random_candidates(
     if count > MOST_POSES:
         raise JobError(f"{count} random poses are asked for; allowed are {MOST_POSES}.")
     limits = joint_limits(robot)
+    if np.all(limits[:, 0] == limits[:, 1]):
+        raise JobError(
+            f"{robot.urdf.where}: the limits of its joints leave no room to move, so that there is one pose; a <limit> "
+            "without lower and upper is from 0 to 0."
+        )
     rng = drawing(seed)
     parts: list[Array] = []
     tried, rejected = 0, Counter[str]()

@@ -90,7 +90,7 @@ def plan(
             frames, observes, *noise, parse_within(misfit, RANGES["model_sigma"], "misfit"), right
         )
         sight = given.sight(tracker, facing, acceptance, nearest, farthest)
-        notes = given.untold(model)
+        notes = given.untold(model) + given.without_room(robot)
         for path, readings in ((working, right), (measured, done)):
             if path is not None and readings is not None:
                 notes += given.impossible(path, possible(robot, frames, readings))

@@ -20,7 +20,7 @@ from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.files import is_there, write_new
 from calib.foundations.ranges import OF_DIMENSION, RANGES, parse_within
 from calib.foundations.units import DISPLAY_OF, Dimension
-from calib.foundations.words import shown
+from calib.foundations.words import listed, shown
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.identify import identify
 from calib.job.columns import columns_alike
@@ -100,6 +100,17 @@ def untold(model: ErrorModel) -> list[str]:
     return [
         f"{', '.join(untold)}: depend on sides of approach, temperatures or torques and not on the poses alone; the "
         "plan is for the other parameters."
+    ]
+
+
+def without_room(robot: Robot) -> list[str]:
+    """Return what is to be said of joints that their limits hold in one place."""
+    held = [reading.name for reading in robot.readings if reading.lower is not None and reading.lower == reading.upper]
+    if not held:
+        return []
+    return [
+        f"{robot.urdf.where}: limits leave no room to {listed(held)}: no pose moves them, and a calibration says that "
+        "it cannot be trusted. A <limit> without lower and upper is from 0 to 0."
     ]
 
 
