@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS, RANGES, Range, refuse_beyond
+from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS, RANGES, refuse_beyond
 from calib.foundations.units import Dimension
 from calib.foundations.words import refuse_other
 from calib.measurement.boards import Board
@@ -172,10 +172,10 @@ def measurements_from_table(
     return _paired(found, words(table, "pair")) if kind == "pair_distance" else found
 
 
-_SIGMAS: Mapping[Dimension, Range] = {
-    "length": RANGES["instruments.sigma"],
-    "angle": RANGES["model_sigma_angle"],
-    "pixel": RANGES["instruments.sigma of a camera"],
+_SIGMAS: Mapping[Dimension, str] = {
+    "length": "instruments.sigma",
+    "angle": "model_sigma_angle",
+    "pixel": "instruments.sigma of a camera",
 }
 
 
@@ -304,14 +304,12 @@ def _noise(
         raise MeasurementError(f"{table.where}: the noise is given twice, by {' and by '.join(sources)}; keep one.")
     for name, value in given.items():
         if isinstance(value, float | int):
-            refuse_beyond(
-                value, "instruments.sigma" if name == "sigma" else "model_sigma_angle", f"{table.where}: {name}"
-            )
+            refuse_beyond(value, _SIGMAS[dimension], f"{table.where}: {name}")
     values: Array | float = next(iter(given.values()), 0.0)
     for names in columns:
         require(table, names, "of the noise")
         values = stacked(table, dict.fromkeys(names, dimension))
-        allowed = _SIGMAS[dimension]
+        allowed = RANGES[_SIGMAS[dimension]]
         low, high = allowed.ends
         wrong = ((values < low) & (values != 0.0)) | (values > high)
         if wrong.any():

@@ -136,3 +136,13 @@ def test_a_lens_of_which_nothing_is_known_needs_the_size_of_its_images() -> None
     with pytest.raises(JobError, match="cx is neither given nor free"):
         calib.measuring.Camera("tip", free=("fx", "fy", "cy"), size=(640, 480))
     assert calib.measuring.Camera("tip", free=NAMES[:9], size=(641, 481)).lens == Lens(641.0, 641.0, 320.0, 240.0)
+
+
+@pytest.mark.parametrize("sigma", [1e-4, 2.0, 20.0])
+def test_a_camera_may_scatter_by_whole_pixels(sigma: float) -> None:
+    """More than one pixel was refused, as more than a radian."""
+    robot = calib.load_robot("example:ur_description/urdf/ur5_robot.urdf", tip="tool0")
+    columns: dict[str, object] = {f"{reading.name} [rad]": [0.1, 0.2] for reading in robot.readings}
+    columns |= {"u [px]": [300.0, 310.0], "v [px]": [200.0, 220.0]}
+    data = calib.read_measurements(columns, robot, "pixels", instrument=eye("tip", sigma))
+    assert np.all(data.sigma == sigma)
