@@ -28,6 +28,7 @@ from calib.assessment.stretches import pose_by_pose, stretches
 from calib.assessment.trust import remarks
 from calib.identification.identify import with_values
 from calib.machine.of_fit import machine_of
+from calib.measurement.boards import Board
 from calib.measurement.checks import Finding
 from tests.support import cameras, machines
 from tests.support.touching import between, lab
@@ -560,6 +561,22 @@ def test_a_known_distance_of_sockets_tells_the_share_of_all_lengths(factor: floa
     fit = calib.identify(model, made.sockets(25))
     check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
     assert check.statistic == pytest.approx(abs(factor - 1.0), abs=5e-3)
+    assert check.passed == (factor == 1.0)
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.95, 1.05])
+def test_the_lengths_of_an_arm_tell_that_the_print_of_a_board_is_not_as_stated(factor: float) -> None:
+    """No photograph tells the size: the board's prior held its scale, and the whole arm was longer instead."""
+    rng = np.random.default_rng(3)
+    robot = machines.load(cameras.UR5, cameras.TIP)
+    arm = machines.arm(cameras.UR5, cameras.TIP).moved(rng)
+    true = cameras.scene(rng, arm, "tip", places=cameras.BOARD / factor, sigma=0.1)
+    seen = cameras.photographed(robot, true, 30, true.camera, Board(), rng, 0.1)
+    model = calib.error_model(robot, offsets="all", placements="all", base="fixed", tool="pose")
+    fit = calib.identify(model, seen)
+    assert "board.scale" in [parameter.name for parameter in fit.parameters]
+    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    assert check.statistic == pytest.approx(abs(factor - 1.0), abs=8e-3)
     assert check.passed == (factor == 1.0)
 
 

@@ -9,11 +9,12 @@ from calib.assessment.effects import per_metre
 from calib.assessment.judged import NOTHING, Check, JudgedSet
 from calib.assessment.stretches import Stretch
 from calib.foundations.arrays import Array, BoolArray
-from calib.foundations.linear import triangle
+from calib.foundations.linear import svd, triangle
 from calib.foundations.units import MM
 from calib.identification.fit import Fit
+from calib.identification.identifiability import MOVED, NUMERICAL_TOLERANCE
 from calib.identification.machine import values_at
-from calib.identification.parameters import scales
+from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem, related
 from calib.measurement.checks import Finding
 
@@ -117,7 +118,8 @@ def _common_scale(
 
     Last, how much of what lengths do to the tool this share explains, of 1. Other parameters take up what they can:
     where these are most of it, such as where joints slide, little is left that tells a share. A length known between
-    targets tells it as rows do; it moves what was touched by its own share. Nan where nothing shows it.
+    targets tells it as rows do; it moves what was touched by its own share. Else a board whose scale is known nearly
+    tells it: :func:`_by_scales`. Nan where nothing shows it.
     """
     if not moved.any() or not parts:
         return (NOTHING,) * 4
@@ -131,7 +133,10 @@ def _common_scale(
     taken = np.linalg.lstsq(others, x, rcond=1e-9)[0]
     left = x - others @ taken
     square = float(left[:, 1] @ left[:, 1])
-    if square <= 1e-6 * float(x[:, 1] @ x[:, 1]):
+    whole = float(x[:, 1] @ x[:, 1])
+    if share := _by_scales(R, values[:, 0] / units, [fit.parameters[k] for k in own]):
+        return *share, float(np.sqrt(whole / sum(len(part.r) for part in parts))) / per_metre(parts), 1.0
+    if square <= 1e-6 * whole:
         return (NOTHING,) * 4
     apart = known[:, own][:, moved] @ longer - known[:, own][:, ~moved] @ taken
     by_rows = square - float(apart[:, 1] @ apart[:, 1])
@@ -140,6 +145,32 @@ def _common_scale(
     both, whole = float(left[:, 0] @ left[:, 1]), float(left[:, 0] @ left[:, 0])
     alike = both**2 / (square * whole) if whole > 0.0 else 0.0
     return both / square, 1.0 / float(np.sqrt(square)), moves, alike
+
+
+def _by_scales(R: Array, z: Array, parameters: Sequence[Parameter]) -> tuple[float, float] | None:
+    """Return by which share lengths are longer where rows R (k, p) leave the size open, and a scale's prior told it.
+
+    A wrong scale that is held by its prior alone makes the whole arm larger, at values z (p,) in units of the scales.
+    Were it free, an arm as near to the nominal one as rows allow would say what it is. Second, the standard error of
+    that: as large as what is then left makes it, and as deviations of one scale do. None where no scale is told so.
+    """
+    priors = [k for k, parameter in enumerate(parameters) if parameter.unit == "1" and parameter.prior is not None]
+    if not priors:
+        return None
+    _, s, Vt = svd(R)
+    N = Vt[np.count_nonzero(s > NUMERICAL_TOLERANCE) :].T
+    told = [k for k in priors if np.linalg.norm(N[k]) > MOVED]
+    if not told:
+        return None
+    robot = np.array([parameter.of_robot for parameter in parameters], dtype=np.bool_)
+    nearer = np.linalg.pinv(N[robot], rcond=1e-9)
+    left = z[robot] - N[robot] @ (nearer @ z[robot])
+    size = np.linalg.norm(left) / np.sqrt(max(np.count_nonzero(robot) - np.linalg.matrix_rank(N[robot], tol=1e-9), 1))
+    units = np.array([parameters[k].scale for k in told])
+    shares = N[told] @ (nearer @ z[robot]) * units
+    errors = np.linalg.norm(N[told] @ nearer, axis=1) * units * max(size, 1.0)
+    most = int(np.argmax(np.abs(shares)))
+    return float(shares[most]), float(errors[most])
 
 
 def _known_lengths(fit: Fit) -> tuple[Array, Array]:
