@@ -15,7 +15,7 @@ from calib.machine.place import Placed
 from calib.machine.touching import touched, touches_of
 from calib.measurement.checks import Finding
 from calib.measurement.formats.lens_files import read_lens
-from calib.measurement.instruments import Camera, CameraPlace, LaserTracker
+from calib.measurement.instruments import Camera, CameraPlace, LaserTracker, refuse_other_focal_lengths
 from calib.measurement.lens import BENT, CENTRE, FOCAL, NAMES, Lens
 from calib.measurement.measurements import Measurements
 from calib.measurement.optics import seen_by
@@ -273,7 +273,9 @@ def _instrument(
                 )
             numbers, size = lens._asdict(), of_file or size
         known = section.lens_sigma.by_name
-        return Camera(place, **numbers, sigma=sigma, free=tuple(free), size=size, name=name, lens_sigma=known)
+        camera = Camera(place, **numbers, sigma=sigma, free=tuple(free), size=size, name=name, lens_sigma=known)
+        refuse_other_focal_lengths(camera, f"instruments.{name}")
+        return camera
     x, y, z = (length.si for length in section.station)
     return LaserTracker(sigma, section.sigma_per_metre.si, (x, y, z))
 

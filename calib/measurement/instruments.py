@@ -137,3 +137,19 @@ class Camera:
 
 # The ranges of the numbers of a lens are told under these names.
 _GROUPS = ("fx, fy", "cx, cy", "k1, k2, p1, p2, k3, k4, k5, k6")
+
+# Focal lengths in longer sides of an image. No lens of this model sees as much, or as little, as beyond these.
+_LEAST_FOCAL, _MOST_FOCAL = 0.1, 100.0
+
+
+def refuse_other_focal_lengths(camera: Camera, where: str) -> None:
+    """Raise JobError for focal lengths in another unit, as mm or thousands of px, where the size of images tells."""
+    longest = max(camera.size or (0,))
+    for name in FOCAL:
+        value = getattr(camera, name)
+        if longest and value is not None and not _LEAST_FOCAL * longest <= value <= _MOST_FOCAL * longest:
+            view = np.degrees(2.0 * np.arctan(0.5 * longest / value))
+            raise JobError(
+                f"{where}.{name}: {value:.7g} px would see {view:.3g} deg in images of {longest} px; allowed are "
+                f"{_LEAST_FOCAL:g} to {_MOST_FOCAL:g} times their longer side."
+            )

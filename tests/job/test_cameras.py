@@ -193,3 +193,16 @@ def test_cameras_and_boards_of_one_job(tmp_path: Path) -> None:
     # The errors in it are those of all pixels, where the marks are.
     assert '"judged":true' in scene
     assert "errors are across the line of sight" in scene
+
+
+@pytest.mark.parametrize(("fx", "view"), [("1.1", "180"), ("999000", "0.0734")])
+def test_focal_lengths_in_another_unit_are_refused(fx: str, view: str, tmp_path: Path) -> None:
+    """Such a lens put marks behind the camera, and the sentence asked for all but the lens."""
+    rng = np.random.default_rng(2)
+    job = written(tmp_path, made(rng), rng)
+    lens = f'lens = "free"\nfx = "{fx} px"\nfy = "1100 px"\ncx = "640 px"\ncy = "360 px"\n'
+    job.write_text(job.read_text(encoding="utf-8").replace('lens = "free"\n', lens, 1), encoding="utf-8")
+    said = run("check", job)
+    assert said.code == 1
+    why = f"instruments.{next(iter(ON))}.fx: {fx} px would see {view} deg in images of 1280 px; allowed are 0.1 to 100 "
+    assert why in " ".join(said.err.split())

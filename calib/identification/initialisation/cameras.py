@@ -162,7 +162,8 @@ def refuse_behind(own: Sequence[TargetRows], tools: Array, target: Array) -> Non
             line = sight.data.lines[sight.rows[int(np.argmax(behind))]]
             raise MeasurementError(
                 f"{sight.data.where}:{line}: the camera saw this mark, but with the nominal robot it is behind the "
-                f'camera; are camera_on = "{sight.camera.camera_on}", the readings and the places on the board right?'
+                f'camera; are camera_on = "{sight.camera.camera_on}", the lens, the readings and the places on the '
+                "board right?"
             )
 
 
