@@ -554,6 +554,22 @@ def test_lengths_that_are_all_too_long(cell: Cell, factor: float, passed: bool) 
     assert check.passed == passed
 
 
+@pytest.mark.parametrize(("by", "passed"), [(0.02, True), (0.07, False)])
+def test_a_joint_that_is_far_beside_its_place_is_another_robot(cell: Cell, by: float, passed: bool) -> None:
+    """Across its link, where no length of the URDF is another."""
+    arm = machines.arm(*UR5)
+    off = [
+        replace(j, origin=j.origin @ machines.pose((by, 0.0, 0.0))) if j.name == "wrist_2_joint" else j
+        for j in arm.joints
+    ]
+    true = machines.Machine(replace(arm, joints=tuple(off)), cell.machine.base, cell.machine.tools)
+    fit = calib.identify(cell.model, true.measure(cell.robot, cell.draw(60), rng=cell.rng, sigma=5e-5))
+    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    assert check.passed == passed
+    beside = "Joint 'wrist_2_joint' is 70 mm beside its place in the URDF: is it the URDF of this robot?"
+    assert (check.sentence == beside) != passed
+
+
 @pytest.mark.parametrize("factor", [1.0, 0.97, 1.03])
 def test_a_known_distance_of_sockets_tells_the_share_of_all_lengths(factor: float) -> None:
     """No touch of a socket tells the size: it is the stated distance alone, right or wrong."""

@@ -85,9 +85,14 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
         T, own = np.asarray(fit.robot.chain[k].placement), fit.deviations.placements[k, :3]
         length = float(np.linalg.norm(T[:3, 3]))
         by = float(T[:3, 3] @ T[:3, :3] @ own) / length if length > 0.0 else float(np.linalg.norm(own))
-        if abs(by) > worst * max(LINK * length, LINK_LENGTH):
-            worst = abs(by) / max(LINK * length, LINK_LENGTH)
-            link = f"{fit.robot.chain[k].name!r} differs by {by / MM:+.0f} mm"
+        beside = float(np.sqrt(max(float(own @ own) - by**2, 0.0)))
+        name = repr(fit.robot.chain[k].name)
+        for off, of, said in (
+            (abs(by), length, f"The distance to joint {name} differs by {by / MM:+.0f} mm from the URDF"),
+            (beside, fit.robot.reach, f"Joint {name} is {beside / MM:.0f} mm beside its place in the URDF"),
+        ):
+            if off > worst * max(LINK * of, LINK_LENGTH):
+                worst, link = off / max(LINK * of, LINK_LENGTH), said
     scale, sigma, moves, alike = _common_scale(fit, parts, scaled, moved)
     most = LINK if alike < ALIKE and abs(scale) > SCALE else SCALE
     if abs(scale) > max(most, SURE * sigma) and abs(scale) * moves > SCALED:
@@ -97,8 +102,7 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
         )
         return Check.of("lengths", abs(scale), most, False, said)
     if worst > 1.0:
-        said = f"The distance to joint {link} from the URDF: is it the URDF of this robot?"
-        return Check.of("lengths", worst * LINK, LINK, False, said)
+        return Check.of("lengths", worst * LINK, LINK, False, f"{link}: is it the URDF of this robot?")
     if not moved.any():
         said = "No lengths were free."
     elif abs(scale) > most:
