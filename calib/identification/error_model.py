@@ -215,9 +215,10 @@ def error_model(
     """Say which parameters of ``robot`` are unknown.
 
     ``offsets``: "all" moving joints, "none", or names and globs of moving joints.
-    ``placements``: "all" (every component of every moving joint), "none", or names and globs of joints, moving or
-    fixed (``"wrist_*"``), or of single components (``"joint_3.rx"``, ``"*.tz"``). The motion along a joint's own axis
-    is its offset and never also a placement. Or :class:`calib.dh.Free`: numbers of the robot's DH table.
+    ``placements``: "all" (every component of every moving joint, and of the frames where loops close), "none", or names
+    and globs of joints, moving or fixed (``"wrist_*"``), or of single components (``"joint_3.rx"``, ``"*.tz"``). The
+    motion along a joint's own axis is its offset and never also a placement. Or :class:`calib.dh.Free`: numbers of the
+    robot's DH table.
     ``terms``: joint terms as the keys of a job choose them, ``{"gain": "all", "harmonics": ["joint_1"],
     "harmonic_orders": (1, 2), "expansion": "arm"}``, each "all" readings or links, "none", or names and globs; or
     :class:`calib.JointTerm` themselves. Masses are those of the URDF, and RobotError says what is wrong with them;
@@ -269,7 +270,7 @@ def error_model(
 
 
 def _select_placements(robot: Robot, placements: Selection) -> list[tuple[str, str]]:
-    """Return the chosen pairs (joint, component); "all" are those of joints that move."""
+    """Return the chosen pairs (joint, component); "all" are those of joints that move, and of where loops close."""
     every = {
         f"{joint.name}.{component}": (joint.name, component)
         for joint in robot.chain
@@ -277,12 +278,28 @@ def _select_placements(robot: Robot, placements: Selection) -> list[tuple[str, s
         if component != {"revolute": "rz", "prismatic": "tz", "fixed": None}[joint.type]
     }
     if isinstance(placements, str):
-        movers = {robot.chain[i].name for i in robot.moving}
         if placements not in ("all", "none"):
             raise JobError(f'placements: {placements!r} is not "all", "none" or a list of joint names.')
-        return [pair for pair in every.values() if placements == "all" and pair[0] in movers]
+        movers, ends = {robot.chain[i].name for i in robot.moving}, _loop_ends(robot)
+        return [pair for pair in every.values() if placements == "all" and (pair[0] in movers or pair in ends)]
     joints = {joint.name for joint in robot.chain}
     return [every[name] for name in _select_parts(placements, list(every), joints, "placements")]
+
+
+def _loop_ends(robot: Robot) -> set[tuple[str, str]]:
+    """Return the pairs (joint, component) of the frames where loops close, as of the far pin of a rod.
+
+    A fixed joint before one that moves is part of the placement of that one. Behind a pin none moves, so that the
+    length of its bar is in no other placement. How the second frame of a loop is turned does not matter.
+    """
+    parts = deviation.COMPONENTS, deviation.COMPONENTS[:3]
+    return {
+        (robot.chain[joint].name, component)
+        for loop in robot.closed_loops
+        for link, own in zip(loop.frames, parts, strict=True)
+        if (joint := robot.carrier(link)) >= 0
+        for component in own
+    }
 
 
 def _select_parts(selection: Selection, names: Sequence[str], owners: Collection[str], what: str) -> list[str]:

@@ -102,6 +102,22 @@ def test_a_truth_that_the_model_can_express_is_found(planar: bool) -> None:
     assert np.abs(tips[:, :3, 3] * 1e3 - true.tcp(unseen)).max() < (1e-6 if planar else 1e-5)
 
 
+def test_all_placements_have_the_lengths_of_all_bars() -> None:
+    """Behind the pins of rod and rear lever nothing moves: the lengths of these bars are in no other placement."""
+    true = simulation.Machine(7, wind_up=False, harmonics=False)
+    robot = calib.load_robot(URDF, "tool0", loops=[LOOP])
+    seen, unseen = commands_deg(80, 1), commands_deg(200, 2)
+    data = measurements(robot, np.radians(seen), true.tcp(seen) * 1e-3)
+    model = calib.error_model(robot, offsets="all", placements="all")
+    freed = {f"{joint}.{component}" for joint, component in model.placements}
+    assert {*LINKS, "rod_length.rx"} <= freed
+    assert "rear_lever_length.rx" not in freed, "how the second frame of a loop is turned does not matter"
+    fit = calib.identify(model, data)
+    frames = fit.machine.frames
+    tips = frames.base @ robot.tips(np.radians(unseen), fit.machine.deviations) @ frames.tools[0]
+    assert np.abs(tips[:, :3, 3] * 1e3 - true.tcp(unseen)).max() < 1e-5
+
+
 def test_a_pose_that_cannot_be_is_named_by_file_and_line() -> None:
     robot = calib.load_robot(URDF, "tool0", loops=[LOOP])
     q = np.radians(commands_deg(20, 3))
