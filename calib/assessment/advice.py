@@ -128,9 +128,7 @@ def told_briefly(
     frames = initial_frames(model, sets)
     first = max(sets, key=lambda data: data.sigma.shape[1])
     n = min(len(first), _MOST_ROWS)
-    anywhere = replace(
-        first.subset(np.arange(n)), readings=read_only(random_readings(model.urdf_robot, n, None, (), seed=0))
-    )
+    anywhere = replace(first.subset(np.arange(n)), readings=read_only(random_readings(model.urdf_robot, n)))
     J, names = _per_unit(Problem(model, model.parameters(sets[0].tools, sets[0].setups), frames, (anywhere,)))
     never = [not _of_clock(direction, sets) and not _shown(J, names, [], direction) for direction in null_space]
     if sum(never) < _A_FEW:

@@ -20,6 +20,7 @@ from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
 from calib.assessment.places import unshown
 from calib.assessment.stretches import pose_by_pose, stretches
+from calib.foundations.chance import exceeded
 from calib.foundations.linear import one_thread
 from calib.foundations.words import listed
 from calib.identification.fit import Fit
@@ -27,6 +28,8 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.checks import Finding
 
 _COMPLIANCE = ".elastic"
+# The model's part of a table's noise, over all noise of the others and over what its own instrument has.
+_UNLIKE = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +113,7 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
                     f"the {noise.quantity} residuals scatter by so much less.",
                 )
             )
+    found += _unlike(fit)
     rising = [
         parameter.name.removesuffix(_COMPLIANCE)
         for parameter, value, sigma in zip(fit.parameters, fit.values, fit.sigmas, strict=True)
@@ -138,3 +142,29 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
             "orientations of the tool, or priors for known values make this unnecessary.",
         ),
     )
+
+
+def _unlike(fit: Fit) -> list[Finding]:
+    """Return which tables the machine explains far worse than the others, as of a set-up whose load nobody told.
+
+    Uncertainty has one noise for all rows. A table whose sigma is not stated has one for itself, and is left out.
+    """
+    found = []
+    stated = [noise for noise in fit.noise if noise.degrees_of_freedom >= of_fit.ENOUGH and noise.chi_square >= 0.0]
+    for noise in stated:
+        others = [other for other in stated if other.quantity == noise.quantity and other is not noise]
+        if not others:
+            continue
+        freedom = sum(other.degrees_of_freedom for other in others)
+        rest = sum(other.degrees_of_freedom * other.total**2 for other in others) / freedom
+        square = noise.model**2 / max(rest, noise.instrument**2)
+        chance = exceeded(square * noise.degrees_of_freedom, round(noise.degrees_of_freedom), freedom)
+        if square > _UNLIKE**2 and chance < of_rows.RARELY:
+            said = (
+                f"{fit.measurements[noise.measurements].where}: the {noise.quantity} residuals scatter "
+                f"{np.sqrt(square):.2g} times as much as those of the other tables, and its sigma does not say why. "
+                "Check the table's tool, sigma, payload and direction of gravity. Regions are stated with the noise of "
+                "all tables, and are too small for rows like these."
+            )
+            found.append(Finding.warning("unlike-tables", said))
+    return found

@@ -34,6 +34,8 @@ StopReason = Literal["below the limit", "the estimate repeats", "too many iterat
 
 # Steps below 1e-9 parameter scales (1e-12 m, 1e-12 rad) are rounding: the estimate has come to rest.
 _AT_REST = 1e-9
+# What takes all of this, as Python and as a job say it.
+_INSTEAD = 'identify (in a job, solver.kind = "least_squares")'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,16 +146,16 @@ def _problem(model: ErrorModel, measurements: Measurements | Sequence[Measuremen
     for data in sets:
         if data.kind != "position":
             raise MeasurementError(
-                f"{data.where}: observes {data.kind}, and the total differential takes positions only; use identify."
+                f"{data.where}: observes {data.kind}, and the total differential takes positions only; use {_INSTEAD}."
             )
     problem = initial_problem(model, sets)
     parameters = problem.parameters
     if not parameters:
         raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
     if any(parameter.prior is not None or parameter.group is not None for parameter in parameters):
-        raise JobError("the total differential takes no priors; leave them out or use identify.")
+        raise JobError(f"the total differential takes no priors; leave them out or use {_INSTEAD}.")
     if model.terms:
-        raise JobError("the total differential takes no joint terms; leave them out or use identify.")
+        raise JobError(f"the total differential takes no joint terms; leave them out or use {_INSTEAD}.")
     points = sum(len(data) for data in sets)
     if 3 * points <= len(parameters):
         raise IdentificationError(
@@ -176,8 +178,8 @@ def _step(problem: Problem, x: Array) -> Array:
     z, _, rank, _ = np.linalg.lstsq(G, _misses(problem, x).ravel(), rcond=RANK_TOLERANCE)
     if rank < len(s):
         raise IdentificationError(
-            f"the points determine {rank} of {len(s)} parameters; free fewer, touch other poses, "
-            "or use identify, which says what cannot be told apart."
+            f"the points determine {rank} of {len(s)} parameters; free fewer, measure other poses, "
+            f"or use {_INSTEAD}, which says what cannot be told apart."
         )
     return np.asarray(z * s)
 

@@ -11,7 +11,10 @@ import calib
 from calib.assessment.advice import advice, null_space_advice, told_briefly
 from calib.identification.observability import indices, observability
 from calib.robot.robot import Robot
+from calib.robot.sampling import closing, random_readings
+from calib.robot.urdf import parse_urdf
 from tests.support import machines
+from tests.support.loops import four_bar_urdf
 from tests.support.machines import Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
@@ -198,3 +201,19 @@ def test_joints_that_follow_others_are_told_beside_the_readings() -> None:
     null_space = observability(fixed, [data]).undetermined
     said = told_briefly(fixed, [data], null_space, [str(direction) for direction in null_space])
     assert ": normal for seven revolute joints, moved by six readings. No " in said[0]
+
+
+def test_poses_that_would_show_a_direction_are_those_that_close() -> None:
+    """A crank that cannot turn all the way: at some readings within its limits the loop does not close."""
+    loop = calib.ClosedLoop("four-bar", ("rod_end", "pin"), ("x", "z"), ("elbow", "rod"))
+    robot = calib.load_robot(parse_urdf(four_bar_urdf(e=0.12).encode(), "arm.urdf"), "tip", loops=[loop])
+    q = np.random.default_rng(3).uniform(-0.3, 0.3, (30, len(robot.readings)))
+    x = robot.tips(q)[:, :3, 3]
+    columns: dict[str, object] = {f"{reading.name} [rad]": q[:, k] for k, reading in enumerate(robot.readings)}
+    columns |= {f"{axis} [m]": x[:, k] for k, axis in enumerate("xyz")}
+    data = calib.read_measurements(columns, robot, sigma=1e-5)
+    model = calib.error_model(robot, offsets="all", placements="all")
+    null_space = observability(model, [data]).undetermined
+    assert not closing(robot, random_readings(robot, 30, None, ())).all()
+    said = told_briefly(model, [data], null_space, [str(direction) for direction in null_space])
+    assert "that no position determines" in said[0]

@@ -660,6 +660,21 @@ def test_a_sigma_that_is_too_large_is_remarked(cell: Cell) -> None:
     assert of_errors.prediction(fit, machine_of(fit), []).passed
 
 
+def test_a_table_that_is_explained_far_worse_than_the_others_is_remarked() -> None:
+    """As of a set-up whose load nobody told: its base is its own, so that nothing else differs from the other rows."""
+    cell = Cell(9)
+    one, other = (replace(cell.measured(cell.draw(40)), where=name) for name in ("a.csv", "b.csv"))
+    more = np.random.default_rng(4).normal(size=other.position.shape) * 8.0 * other.sigma
+    poor = replace(other, position=other.position + more)
+    assert remarks(calib.identify(cell.model, [one, other])) == ()
+    (finding,) = remarks(calib.identify(cell.model, [one, poor]))
+    assert finding.code == "unlike-tables"
+    assert finding.sentence.startswith("b.csv: the position residuals scatter ")
+    # Its sigma says so, or nobody states one.
+    assert remarks(calib.identify(cell.model, [one, replace(poor, sigma=8.0 * poor.sigma)])) == ()
+    assert remarks(calib.identify(cell.model, [one, replace(poor, sigma=np.zeros_like(poor.sigma))])) == ()
+
+
 def test_a_table_that_asks_for_a_base_of_its_own() -> None:
     cell = Cell(9)
     one, other = (replace(cell.measured(cell.draw(40)), where=name) for name in ("a.csv", "b.csv"))
