@@ -52,7 +52,8 @@ def poses_seen(
     if not rows:
         return model, [], None
     (target, _), *_ = rows.most_common(1)
-    found = [_poses(data, target) for data in with_found_lenses(boards) if target in data.targets]
+    boards = [data for data in with_found_lenses(boards) if target in data.targets]
+    found = [_poses(data, target).with_own_names() for data in boards]
     free = replace(
         model, base="pose", tool="fixed" if model.tool == "fixed" else "pose", setups={}, targets={}, relations=()
     )
