@@ -170,8 +170,7 @@ def group_study(
     The study of the paper (Ye Dong, Huang Qingcheng, Che Rensheng) takes the groups a, d, alpha and theta - here called
     ``offset`` - of a DH table ten times as large and ten times as small. ``errors`` as in :func:`predicted_error`.
     """
-    if not (len(factors) and np.all(np.isfinite(factors))):
-        raise JobError(f"factors: {factors!r} are not numbers.")
+    finite(factors, (None,), f"factors: {factors!r} are not finite numbers.", JobError)
     groups = _unique(map(group_of, errors))
     poses, x = _at_nominal(model, readings)
     nominal = poses.points(x)

@@ -9,6 +9,8 @@ nor hide one.
 What no data can tell apart is said together: where a free base or tool takes the rest, the sign of an outer joint and
 half a turn of the one next to it (UR10: joints 1 and 2, and 6 and 5; Panda: 1 and 2). A zero that a free base or tool
 absorbs is no mistake. Two mistakes at once are not searched; no single one explains them, and that is said.
+
+Photographs of a board are taken for the poses that they show (:mod:`calib.identification.photographed_poses`).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -21,14 +23,17 @@ import numpy.typing as npt
 from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.units import DEG, INCH, MM
+from calib.foundations.words import shown
 from calib.identification.arrow import Split
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initial_frames
 from calib.identification.initialisation.problem import initial_problem, with_common_names
 from calib.identification.machine import values_at
 from calib.identification.parameters import Priors, scales
+from calib.identification.photographed_poses import Strays, poses_seen, strays
 from calib.identification.system import Problem, evaluate
 from calib.measurement.checks import Finding
+from calib.measurement.instruments import CameraPlace
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Reading
 
@@ -56,6 +61,8 @@ _SAME = 1.01
 # Sizes of one family differ by more (UR3, UR5, UR10: 1.4 to 2.4); a unit is taken for one within this factor.
 _ANOTHER_SIZE, _FAMILY = 1.1, 4.0
 _LIKE_A_UNIT = 1.15
+# A board as large as is stated shows a size as true as the nominal robot is.
+_ANOTHER_BOARD = 1.02
 # Cost: evenly spread rows, evaluations of a trial (the last steps change the third digit; without an instrument's frame
 # a start is less near, and more are needed), trials after the screening.
 _MOST_ROWS = 120
@@ -113,16 +120,21 @@ def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple
         placed = [data for data in measurements if len(data) and data.position is not None and data.points is None]
         # Without an instrument the readings alone can be wrong, and what stays in place shows that they are.
         touched = [data for data in measurements if len(data) and data.position is None and data.camera is None]
+        camera_on = None
+        if not placed:
+            model, placed, camera_on = poses_seen(model, [data for data in measurements if len(data)])
         sets = [data.at_readings() for data in placed or touched]
         setups = dict.fromkeys(setup for data in sets for setup in data.setups)
         return tuple(
             finding
             for setup in setups
-            for finding in _signatures(model.at(setup), [data.loaded(model.urdf_robot).at(setup) for data in sets])
+            for finding in _signatures(
+                model.at(setup), [data.loaded(model.urdf_robot).at(setup) for data in sets], camera_on
+            )
         )
 
 
-def _signatures(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Finding, ...]:
+def _signatures(model: ErrorModel, sets: Sequence[Measurements], camera_on: CameraPlace | None) -> tuple[Finding, ...]:
     filled = [data for data in sets if len(data)]
     if not filled:
         return ()
@@ -135,16 +147,18 @@ def _signatures(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Findin
     shown = min(3.0, sum(data.sigma.size for data in sets) / sum(map(len, sets))) / 3.0
     if missed < _GOOD * reach * float(np.sqrt(shown)):
         return ()
+    if camera_on and (found := strays(model, sets)) is not None:
+        return (_contradicted(sets, found),)
     every = tuple(range(len(sets)))
-    found: list[_Trial] = []
+    tried: list[_Trial] = []
     for scope in (every, *((i,) for i in every if len(every) > 1)):
-        best, *others = _trials(model, sets, scope)
+        best, *others = _trials(model, sets, scope, camera_on)
         # Readings that are made too small explain positions that hardly change: a robot that stands still does so too.
         still = _still([best.mistake.mend(sets[i]) for i in scope]) if _seen(sets) else np.inf
         if missed > _CLEARLY * best.counted and best.miss < min(_EXPLAINED * reach, still):
             return (_explained(model, sets, missed, best, others),)
-        found.append(best)
-    return (_unexplained(model, sets, missed, min(found, key=_counted)),) if missed > _LARGE * reach else ()
+        tried.append(best)
+    return (_unexplained(model, sets, missed, min(tried, key=_counted)),) if missed > _LARGE * reach else ()
 
 
 def _spread_rows(data: Measurements, sets: Sequence[Measurements]) -> Measurements:
@@ -259,7 +273,9 @@ def _counted(trial: _Trial) -> float:
     return trial.counted
 
 
-def _trials(model: ErrorModel, sets: Sequence[Measurements], scope: tuple[int, ...]) -> list[_Trial]:
+def _trials(
+    model: ErrorModel, sets: Sequence[Measurements], scope: tuple[int, ...], camera_on: CameraPlace | None
+) -> list[_Trial]:
     """Return trials of the promising mistakes, the best first."""
 
     def mended(mistake: Mistake) -> list[Measurements]:
@@ -269,13 +285,13 @@ def _trials(model: ErrorModel, sets: Sequence[Measurements], scope: tuple[int, .
     # What one reading may have wrong is tried reading by reading, each time for the whole arm.
     readings = model.robot.readings if len(model.robot.readings) <= _MOST_TRIED else ()
     seen = _seen(sets)
-    table = (*_of_readings(readings, units=seen), *(_of_frames(model, chosen) if seen else ()))
+    table = (*_of_readings(readings, units=seen), *(_of_frames(model, chosen, camera_on) if seen else ()))
     # A free base costs a search among all rotations, which few mistakes are worth: a linear fit screens them.
     # Of lengths the start shows no tool; one step does.
     screen = (_relaxed_miss if model.base == "pose" else _first_miss) if seen else _second_miss
     screened = [screen(model, mended(mistake)) for mistake in table]
     promising = [table[i] for i in np.sort(np.argsort(screened, kind="stable")[:_PROMISING])]
-    mistakes = (*promising, *(_not_in_screening(model, chosen) if seen else ()))
+    mistakes = (*promising, *(_not_in_screening(model, chosen, camera_on) if seen else ()))
     trials = [_Trial(mistake, scope, _miss(model, mended(mistake))) for mistake in mistakes]
     least = min(map(_counted, trials))
     # The same to rounding: the order of the table, the most typical first, decides.
@@ -331,6 +347,20 @@ def _unexplained(model: ErrorModel, sets: Sequence[Measurements], missed: float,
     )
 
 
+def _contradicted(sets: Sequence[Measurements], found: Strays) -> Finding:
+    """Return that few photographs are elsewhere than where all others put them."""
+    told = [
+        f"{shown(name)} by {_mm(length)} and {angle / DEG:.3g} deg"
+        for name, length, angle in zip(found.names, found.lengths, found.angles, strict=True)
+    ]
+    more = f", and {len(told) - _LISTED} more" if len(told) > _LISTED else ""
+    return Finding.warning(
+        "stray-photographs",
+        f"{_where(sets, range(len(sets)))}: photographs are off from where all others put them: "
+        f"{', '.join(told[:_LISTED])}{more}: do their readings belong to them, and are they as the camera took them?",
+    )
+
+
 def _misses(model: ErrorModel, sets: Sequence[Measurements], missed: float) -> str:
     turns = any(data.orientation is not None for data in sets)
     weighed = f" (1 rad counted as {model.robot.reach:.3g} m)" if turns else ""
@@ -377,18 +407,30 @@ def _of_readings(readings: Sequence[Reading], *, units: bool) -> Iterator[Mistak
             yield Mistake("reading-unit", says, _read(np.where(its, factor, 1.0)))
 
 
-def _of_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Mistake]:
+def _of_frames(model: ErrorModel, sets: Sequence[Measurements], camera_on: CameraPlace | None) -> Iterator[Mistake]:
     """Yield what a free base cannot absorb: columns where something else tells the axes, and orientations."""
+    if camera_on:
+        yield _camera_elsewhere(camera_on)
+        return
     turned = any(data.orientation is not None for data in sets)
     yield from _COLUMNS if turned or model.base == "fixed" else ()
     yield from _ORIENTATIONS if turned else ()
 
 
-def _not_in_screening(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Mistake]:
+def _not_in_screening(
+    model: ErrorModel, sets: Sequence[Measurements], camera_on: CameraPlace | None
+) -> Iterator[Mistake]:
     """Yield the mistakes that a linear fit cannot show: it takes a robot of any size, from positions also mirrored."""
     positions = [replace(data, orientation=None) for data in sets]  # orientations have no size, and pull A to nothing
     determinant = abs(float(np.linalg.det(_relaxed(model, positions)[0])))
     size = max(determinant, _NEGLIGIBLE**4) ** (-1.0 / 3.0)
+    if camera_on:
+        if max(size, 1.0 / size) > _ANOTHER_BOARD:
+            says = f"the board is {1.0 / size:.3g} times as large as stated"
+            if max(size, 1.0 / size) < _FAMILY:
+                says += f", or the machine {size:.3g} times as large as the URDF says"
+            yield Mistake("board-size", says, _placed(np.eye(3) / size), max(size, 1.0))
+        return
     for factor, says in _POSITION_UNITS:
         if max(size / factor, factor / size) < _LIKE_A_UNIT:
             yield Mistake("position-unit", says, _placed(np.eye(3) / factor), max(factor, 1.0))
@@ -400,6 +442,14 @@ def _not_in_screening(model: ErrorModel, sets: Sequence[Measurements]) -> Iterat
     if model.base == "pose" and all(data.orientation is None for data in sets):
         says = "x, y, z are left-handed: two of the columns are swapped, or one has the wrong sign"
         yield Mistake("position-columns", says, _placed(-np.eye(3)))
+
+
+def _camera_elsewhere(camera_on: CameraPlace) -> Mistake:
+    says = {
+        "tip": 'the camera stands beside the robot, and the board is on the tip: camera_on = "floor"',
+        "floor": 'the camera is on the tip, and the board stands beside the robot: camera_on = "tip"',
+    }
+    return Mistake("camera-on", says[camera_on], _inverted)
 
 
 def _read(factor: Array | float = 1.0, offset: Array | float = 0.0, swap: Array | None = None) -> Mend:

@@ -228,6 +228,7 @@ class Measurements:
         """Whether pixels tell more than where one point is: marks stand at known places of a board."""
         return bool(self.camera is not None and self.value[:, 2:].any())
 
+    @checked
     def named(
         self, *, tool: str | None = None, setup: str | None = None, on: Mapping[str, str] | None = None
     ) -> "Measurements":

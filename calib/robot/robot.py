@@ -19,7 +19,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, as_slice, read_
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
-from calib.foundations.words import counted, listed
+from calib.foundations.words import counted, listed, shown
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.deviation import Motions
 from calib.robot.flexures import Mechanism, mechanism
@@ -277,7 +277,10 @@ class Robot:
         return replace(self, tip=link, tip_joint=self.carrier(link))
 
     def driving(self, links: Iterable[str]) -> tuple[str, ...]:
-        """Return the names of the readings that say where links are; those of closed loops always do."""
+        """Return the names of the readings that say where links are; those of closed loops always do.
+
+        Raises RobotError as :meth:`carrier` does.
+        """
         names = {joint.name for loop in self.closed_loops for link in loop.frames for joint in self._path(link)}
         names |= {joint.name for link in links for joint in self._path(link)}
         moving = [self.chain[i].name in names for i in self.moving]
@@ -292,10 +295,15 @@ class Robot:
             joint = self.chain[joint].parent
 
     def carrier(self, link: str) -> int:
-        """Return the index of the joint that carries a link of the URDF, -1 for the base link."""
+        """Return the index of the joint that carries a link of the URDF, -1 for the base link.
+
+        Raises RobotError for a link that the robot's joints do not carry.
+        """
         if link == self.base:
             return -1
         carriers = {self.urdf.joint(joint.name).child: i for i, joint in enumerate(self.chain)}
+        if link not in carriers:
+            raise RobotError(f"there is no link {shown(link)} of the robot; its joints carry {listed(carriers)}.")
         return carriers[link]
 
     @property

@@ -146,8 +146,11 @@ def test_refuses_names_values_factors_and_readings() -> None:
         predicted_error(model, q, {"elbow_joint.ofset": 1e-3})
     with pytest.raises(JobError, match=r"elbow_joint\.tx: nan is not a finite error"):
         exact_error(model, q, {"elbow_joint.tx": float("nan")})
-    with pytest.raises(JobError, match="factors"):
-        group_study(model, q, {"elbow_joint.tx": 1e-3}, factors=())
+    for factors in ((), (float("nan"),), (10.0, float("inf"))):
+        with pytest.raises(JobError, match=r"factors: .* are not finite numbers"):
+            group_study(model, q, {"elbow_joint.tx": 1e-3}, factors=factors)
+    # A whole number that no integer of NumPy holds.
+    assert group_study(model, q, {"elbow_joint.tx": 1e-39}, factors=(10**30,)).factors == (1e30,)
     for wrong in (q[:, :5], q[0], q[:0], np.full_like(q, np.nan)):
         with pytest.raises(MeasurementError, match=r"needed are finite numbers \(N, 6\)"):
             sensitivity(model, wrong)

@@ -294,3 +294,9 @@ def test_a_column_of_a_joint_that_is_not_read_says_so() -> None:
     )
     # One that could move something, and moves nothing that was measured, is named and left out.
     assert read_measurements(rows | {"beside [deg]": [1, 2]}, robot).unused == ("beside",)
+
+
+def test_a_name_that_is_no_text_is_refused() -> None:
+    for wrong in (5, ["a"]):
+        with pytest.raises(JobError, match=r"named: tool is .*; needs a text or None\.$"):
+            measured(POSITION).named(tool=wrong)  # type: ignore[arg-type]

@@ -232,3 +232,11 @@ def test_which_readings_turn() -> None:
     )
     robot = load_robot(parse_urdf(f'<robot name="r">{links}{joints}</robot>'.encode(), "r"), "tip")
     assert {r.name: r.turns for r in robot.readings} == {"whole": True, "half": False, "slide": False}
+
+
+def test_a_link_that_no_joint_carries_is_refused() -> None:
+    robot = load_robot("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+    assert robot.carrier("world") == -1
+    for asked in (robot.carrier, lambda link: robot.driving((link,))):
+        with pytest.raises(RobotError, match=r"there is no link 'forearm' of the robot; its joints carry .*'tool0'\.$"):
+            asked("forearm")

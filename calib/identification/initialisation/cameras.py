@@ -172,6 +172,13 @@ def images_of(own: Sequence[TargetRows]) -> list[tuple[TargetRows, int, Array]]:
 
     Images that fit no pose by far as well as most of them are left out.
     """
+    found, missed = every_image(own)
+    kept = not_outlying(missed) if found else ()
+    return [image for image, good in zip(found, kept, strict=True) if good]
+
+
+def every_image(own: Sequence[TargetRows]) -> tuple[list[tuple[TargetRows, int, Array]], Array]:
+    """Return the images (n) of a board that tell a pose, as :func:`images_of`, and how far marks are off it (n,)."""
     found: list[tuple[TargetRows, int, Array]] = []
     missed: list[float] = []
     for sight in own if any(sight.data.of_boards for sight in own) else ():
@@ -186,8 +193,7 @@ def images_of(own: Sequence[TargetRows]) -> list[tuple[TargetRows, int, Array]]:
         first = order[np.flatnonzero(np.diff(image, prepend=-1))]
         found += [(sight, int(first[k]), poses[k]) for k in np.flatnonzero(told)]
         missed += off[told].tolist()
-    kept = not_outlying(np.array(missed)) if found else ()
-    return [image for image, good in zip(found, kept, strict=True) if good]
+    return found, np.array(missed)
 
 
 def _aligned(model: ErrorModel, images: Sequence[tuple[TargetRows, int, Array]], tools: Array) -> tuple[Array, Array]:
