@@ -30,6 +30,9 @@ from calib.measurement.checks import Finding
 _COMPLIANCE = ".elastic"
 # The model's part of a table's noise, over all noise of the others and over what its own instrument has.
 _UNLIKE = 3.0
+# Standard deviations of a stated prior by which what is found may be off. A scale is that of a board's print, which is
+# stated to half a percent and mostly right to two tenths.
+_OFF = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +95,7 @@ def verdict(
             of_arm.lengths(fit, parts),
             of_arm.tool_and_base(fit),
             of_arm.lens(fit),
-            of_arm.warnings(findings),
+            of_arm.warnings((*findings, *_unlike(fit), *_contradicted(fit))),
         )
     return Verdict(told, (*shown_range(fit, own, held_out), *unshown(fit)))
 
@@ -113,7 +116,6 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
                     f"the {noise.quantity} residuals scatter by so much less.",
                 )
             )
-    found += _unlike(fit)
     rising = [
         parameter.name.removesuffix(_COMPLIANCE)
         for parameter, value, sigma in zip(fit.parameters, fit.values, fit.sigmas, strict=True)
@@ -167,4 +169,26 @@ def _unlike(fit: Fit) -> list[Finding]:
                 "all tables, and are too small for rows like these."
             )
             found.append(Finding.warning("unlike-tables", said))
+    return found
+
+
+def _contradicted(fit: Fit) -> list[Finding]:
+    """Return which scales of boards are found far from what is stated of them.
+
+    The prior holds them back, and what it held is in the arm and the tool.
+    """
+    found = []
+    for parameter, value, sigma in zip(fit.parameters, fit.values, fit.sigmas, strict=True):
+        if parameter.unit != "1" or parameter.prior is None or parameter.of_robot:
+            continue
+        off = value - (parameter.centre or 0.0)
+        if abs(off) > _OFF * parameter.prior:
+            found.append(
+                Finding.warning(
+                    "prior-contradicted",
+                    f"{parameter.name} is found {100.0 * off:+.2g} +- {100.0 * sigma:.2g} % from what is stated, which "
+                    f"is said to be right to {100.0 * parameter.prior:.2g} %, and is held back by that. Measure the "
+                    "squares of the board again.",
+                )
+            )
     return found

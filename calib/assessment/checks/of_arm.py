@@ -36,6 +36,8 @@ COUNTED = (
     "metres-as-millimetres",
     "not-held-out",
     "copied-rows",
+    "unlike-tables",
+    "prior-contradicted",
 )
 
 
