@@ -660,19 +660,39 @@ def test_a_sigma_that_is_too_large_is_remarked(cell: Cell) -> None:
     assert of_errors.prediction(fit, machine_of(fit), []).passed
 
 
-def test_a_table_that_is_explained_far_worse_than_the_others_is_remarked() -> None:
+def input_of(fit: calib.Fit) -> Check:
+    """The check of what looks wrong in the input."""
+    (check,) = (check for check in calib.assess(fit).checks if check.name == "input")
+    return check
+
+
+def test_a_table_that_is_explained_far_worse_than_the_others_is_doubted() -> None:
     """As of a set-up whose load nobody told: its base is its own, so that nothing else differs from the other rows."""
     cell = Cell(9)
     one, other = (replace(cell.measured(cell.draw(40)), where=name) for name in ("a.csv", "b.csv"))
     more = np.random.default_rng(4).normal(size=other.position.shape) * 8.0 * other.sigma
     poor = replace(other, position=other.position + more)
-    assert remarks(calib.identify(cell.model, [one, other])) == ()
-    (finding,) = remarks(calib.identify(cell.model, [one, poor]))
-    assert finding.code == "unlike-tables"
-    assert finding.sentence.startswith("b.csv: the position residuals scatter ")
+    assert input_of(calib.identify(cell.model, [one, other])).passed
+    check = input_of(calib.identify(cell.model, [one, poor]))
+    assert not check.passed
+    assert check.sentence.startswith("b.csv: the position residuals scatter ")
     # Its sigma says so, or nobody states one.
-    assert remarks(calib.identify(cell.model, [one, replace(poor, sigma=8.0 * poor.sigma)])) == ()
-    assert remarks(calib.identify(cell.model, [one, replace(poor, sigma=np.zeros_like(poor.sigma))])) == ()
+    assert input_of(calib.identify(cell.model, [one, replace(poor, sigma=8.0 * poor.sigma)])).passed
+    assert input_of(calib.identify(cell.model, [one, replace(poor, sigma=np.zeros_like(poor.sigma))])).passed
+
+
+@pytest.mark.parametrize(("factor", "passed"), [(1.0, True), (1.01, True), (1.04, False)])
+def test_a_scale_of_a_board_that_is_far_from_what_is_stated_is_doubted(factor: float, passed: bool) -> None:
+    """Few lengths are free, so that photographs tell the size, and the prior holds it back."""
+    rng = np.random.default_rng(3)
+    robot, arm = machines.load(cameras.UR5, cameras.TIP), machines.arm(cameras.UR5, cameras.TIP)
+    true = cameras.scene(rng, arm, "tip", places=cameras.BOARD / factor, sigma=0.1)
+    seen = cameras.photographed(robot, true, 30, true.camera, Board(), rng, 0.1)
+    fit = calib.identify(calib.error_model(robot, offsets="all", base="fixed", tool="pose"), seen)
+    found = calib.assess(fit, findings=())
+    (check,) = (check for check in found.checks if check.name == "input")
+    assert check.passed == passed, check
+    assert check.sentence.startswith("board.scale is found -3.") != passed
 
 
 def test_a_table_that_asks_for_a_base_of_its_own() -> None:
