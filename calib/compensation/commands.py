@@ -63,7 +63,7 @@ def for_joint_targets(
     def correct(told: Conditions, rows: IntArray, _: Corrections | None) -> Corrections:
         return solve(model, replace(asked, conditions=told).subset(rows), how)
 
-    return by_order(model.robot, readings, conditions, correct)
+    return by_order(model, tools, readings, conditions, correct)
 
 
 @checked
@@ -119,7 +119,7 @@ def for_poses(
 
     if not conditions.ordered:
         return correct(conditions, np.arange(n), None)
-    return by_order(model.robot, start, conditions, correct)
+    return by_order(model, tools, start, conditions, correct)
 
 
 def at_tip(model: CalibratedMachine, tool: str | Sequence[str]) -> CalibratedMachine:

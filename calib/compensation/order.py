@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from calib.compensation.corrections import Corrections, replaced
+from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.errors import JobError
 from calib.foundations.words import listed
+from calib.machine.calibrated import CalibratedMachine
 from calib.robot.conditions import Conditions, in_order
 from calib.robot.robot import Robot
 from calib.robot.terms import kind_of
@@ -41,15 +43,18 @@ def with_sides(conditions: Conditions, rows: int, readings: int) -> Conditions:
     return replace(conditions, approach=np.zeros((rows, readings)))
 
 
-def by_order(robot: Robot, start: Array | None, conditions: Conditions, correct: Correct) -> Corrections:
-    """Return the commands for N targets in the order of their rows, each reached from the side that they tell.
+def by_order(
+    model: CalibratedMachine, tools: Array, start: Array | None, conditions: Conditions, correct: Correct
+) -> Corrections:
+    """Return the commands for N targets of tools (N, 4, 4) in the order of their rows, as these tell their sides.
 
     ``correct`` finds those of some rows where sides are known, from the conditions of all and what was found so far;
     these ``conditions`` are :func:`with_sides`. ``start`` (N, nr): readings that tell a first guess of the sides, None
     where there is none. Rows that are not reached are not visited either. A reading that nothing has moved yet has no
-    side, which is a remark on its row. Rows that have no consistent side, as a coefficient of the other sign may leave
-    them, are not reached.
+    side, which is a remark on its row. One of which no side is consistent, as a coefficient above zero may leave it, is
+    taken as reached from neither; a remark says so, and the remaining errors have what that misses.
     """
+    robot = model.robot
     sides, asking = np.asarray(conditions.approach), np.zeros((1, len(robot.readings)), dtype=np.bool_)
     asking[:, list(sided(robot))] = True
     unsettled = np.zeros(sides.shape, dtype=np.bool_)
@@ -58,20 +63,31 @@ def by_order(robot: Robot, start: Array | None, conditions: Conditions, correct:
     found = correct(replace(conditions, approach=sides), np.arange(len(sides)), None)
     first, rounds = -1, 0
     while True:
-        visited = found.reached & ~unsettled.any(axis=1)
-        told = _sides(found.readings, visited)
-        changed = (told != sides) & asking & visited[:, None]
+        told = _sides(found.readings, found.reached)
+        settled = np.where(unsettled, 0.0, told)
+        changed = (settled != sides) & asking & found.reached[:, None]
         rows = np.flatnonzero(changed.any(axis=1))
         if not len(rows):
             break
         # Rows before the first that changes stand: its sides follow from them, and from what is corrected for these.
         first, rounds = int(rows[0]), rounds + 1 if rows[0] == first else 1
         if rounds > _ROUNDS:
-            unsettled[first] = changed[first]
+            unsettled[first] |= changed[first]
+            first = -1
             continue
-        sides = told
+        sides = settled
         found = replaced(found, correct(replace(conditions, approach=sides), rows, found), rows)
-    return _told(found, robot, unsettled, (sides == 0.0) & asking & visited[:, None])
+    unsettled &= found.reached[:, None]
+    reasons = list(found.reasons)
+    unknown = (told == 0.0) & asking & found.reached[:, None]
+    for which, why in (
+        (unknown, "from which side {} is reached is not known, as it has not moved before"),
+        (unsettled, "from which side {} is reached cannot be told: corrected for one side, it comes from the other"),
+    ):
+        for row in np.flatnonzero(which.any(axis=1)).tolist():
+            names = listed([robot.readings[k].name for k in np.flatnonzero(which[row])])
+            reasons[row] = "; ".join(filter(None, [reasons[row], why.format(names)]))
+    return _with_missed(replace(found, reasons=tuple(reasons)), model, tools, unsettled, conditions, (sides, told))
 
 
 def _sides(readings: Array, visited: BoolArray) -> Array:
@@ -81,26 +97,26 @@ def _sides(readings: Array, visited: BoolArray) -> Array:
     return sides
 
 
-def _told(found: Corrections, robot: Robot, unsettled: BoolArray, unknown: BoolArray) -> Corrections:
-    """Return corrections without rows of unsettled sides (N, nr), and with a remark where sides are not known."""
-    reasons = list(found.reasons)
-    for row, names in _named(robot, unknown):
-        said = f"from which side {names} is reached is not known, as it has not moved before"
-        reasons[row] = "; ".join(filter(None, [reasons[row], said]))
-    for row, names in _named(robot, unsettled):
-        reasons[row] = (
-            f"from which side {names} is reached cannot be told: corrected for one side, it comes from the other"
-        )
-    lost: BoolArray = np.asarray(unsettled.any(axis=1))
-    if not lost.any():
-        return replace(found, reasons=tuple(reasons))
-    readings, change = (np.where(lost[:, None], np.nan, values) for values in (found.readings, found.change))
-    reached = found.reached & ~lost
-    arrays = {"readings": readings, "change": change, "reached": reached}
-    return replace(found, reasons=tuple(reasons), **{name: read_only_view(own) for name, own in arrays.items()})
+def _with_missed(
+    found: Corrections,
+    model: CalibratedMachine,
+    tools: Array,
+    unsettled: BoolArray,
+    conditions: Conditions,
+    sides: tuple[Array, Array],
+) -> Corrections:
+    """Return corrections whose errors have what rows with unsettled sides (N, nr) miss, from those taken to those told.
 
-
-def _named(robot: Robot, which: BoolArray) -> list[tuple[int, str]]:
-    """Return the rows that have some of the readings (N, nr), and these in words."""
-    rows = np.flatnonzero(which.any(axis=1)).tolist()
-    return [(row, listed([robot.readings[k].name for k in np.flatnonzero(which[row])])) for row in rows]
+    ``sides``: the ones taken, and the ones that the commands tell (N, nr).
+    """
+    rows = np.flatnonzero(unsettled.any(axis=1))
+    if not len(rows):
+        return found
+    taken, told = (
+        model.tips(found.readings[rows], replace(conditions, approach=own).subset(rows)) @ tools[rows] for own in sides
+    )
+    between = rigid.inverse(taken) @ told
+    position, orientation = found.position_error.copy(), found.orientation_error.copy()
+    position[rows] += np.linalg.norm(between[:, :3, 3], axis=1)
+    orientation[rows] += np.linalg.norm(rigid.log3(between[:, :3, :3]), axis=1)
+    return replace(found, position_error=read_only_view(position), orientation_error=read_only_view(orientation))
