@@ -179,7 +179,7 @@ def _contradicted(fit: Fit) -> list[Finding]:
     """
     found = []
     for parameter, value, sigma in zip(fit.parameters, fit.values, fit.sigmas, strict=True):
-        if parameter.unit != "1" or parameter.prior is None or parameter.of_robot:
+        if parameter.prior is None or not of_arm.is_stated_scale(parameter):
             continue
         off = value - (parameter.centre or 0.0)
         if abs(off) > _OFF * parameter.prior:

@@ -17,6 +17,7 @@ from calib.identification.machine import values_at
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem, related
 from calib.measurement.checks import Finding
+from calib.measurement.optics import SCALE as OF_BOARD
 
 # What a joint that did not move leaves, in rad or m.
 REST = 1e-4
@@ -153,6 +154,11 @@ def _common_scale(
     return both / square, 1.0 / float(np.sqrt(square)), moves, alike
 
 
+def is_stated_scale(parameter: Parameter) -> bool:
+    """Return whether a parameter is the scale of a board, of which something is stated."""
+    return parameter.kind == "instrument" and parameter.name.endswith(f".{OF_BOARD}") and parameter.prior is not None
+
+
 def _by_scales(R: Array, z: Array, parameters: Sequence[Parameter]) -> tuple[float, float] | None:
     """Return by which share lengths are longer where rows R (k, p) leave the size open, and a scale's prior told it.
 
@@ -160,7 +166,7 @@ def _by_scales(R: Array, z: Array, parameters: Sequence[Parameter]) -> tuple[flo
     Were it free, an arm as near to the nominal one as rows allow would say what it is. Second, the standard error of
     that: as large as what is then left makes it, and as deviations of one scale do. None where no scale is told so.
     """
-    priors = [k for k, parameter in enumerate(parameters) if parameter.unit == "1" and parameter.prior is not None]
+    priors = [k for k, parameter in enumerate(parameters) if is_stated_scale(parameter)]
     if not priors:
         return None
     _, s, Vt = svd(R)
