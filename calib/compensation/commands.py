@@ -15,7 +15,7 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.choices import PoseFrame, What
 from calib.foundations.errors import JobError
 from calib.foundations.words import not_calibrated
-from calib.machine.calibrated import CalibratedMachine
+from calib.machine.calibrated import CalibratedMachine, refuse_unfollowed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import TipModel
 from calib.robot.transmission import lacking
@@ -173,6 +173,7 @@ def _conditions(model: CalibratedMachine, conditions: Conditions, rows: int) -> 
     conditions = with_sides(conditions, rows, len(names))
     if missing := lacking(model.robot.terms, names, conditions):
         raise JobError(f"{missing[0]} of the machine needs {missing[1]!r} for every target.")
+    refuse_unfollowed(model.robot, conditions)
     return conditions
 
 

@@ -20,6 +20,7 @@ from calib.measurement.streams.stream import SHIFTS
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.joint_terms import in_setup
 from calib.robot.robot import Deviations, Robot, refuse_other_deviations
+from calib.robot.terms import kind_of
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -143,8 +144,10 @@ class CalibratedMachine:
     def predict(self, readings: Array, *, tool: str = "tool", conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the placements (N, 4, 4) of a tool in the instrument's frame at readings (N, nr), in rad and m.
 
-        Raises MeasurementError for an unknown tool, and as :meth:`tips` does.
+        Raises MeasurementError for an unknown tool, RobotError for payloads that terms of unknown masses cannot follow,
+        and as :meth:`tips` does.
         """
+        refuse_unfollowed(self.robot, conditions)
         return np.asarray(self.base @ self.of(tool).tips(readings, conditions) @ self.tools[tool])
 
     @checked
@@ -259,3 +262,17 @@ class CalibratedMachine:
             f"<CalibratedMachine {self.robot.urdf.where} to {self.robot.tip!r}: {joints} joints, tools "
             f"{', '.join(self.tools)}{beside}; its uncertainty is {said}>"
         )
+
+
+def refuse_unfollowed(robot: Robot, conditions: Conditions) -> None:
+    """Raise RobotError for payloads other than the robot's where a term takes masses for unknown and the same."""
+    blind = next((term for term in robot.terms if kind_of(term).masses == "unknown"), None)
+    if blind is None or conditions.payload is None:
+        return
+    for own in (robot.payload, *(load.payload for load in robot.loads.values())):
+        if np.all(np.isnan(conditions.payload) | (conditions.payload == robot.moments(own))):
+            return
+    raise RobotError(
+        f"{blind.name} takes all masses as they were when it was identified, and cannot follow another payload; leave "
+        "the payload out, or calibrate with terms of stated masses, such as elastic."
+    )

@@ -18,7 +18,7 @@ from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, triangle
 from calib.foundations.units import DISPLAY_OF
-from calib.machine.calibrated import CalibratedMachine
+from calib.machine.calibrated import CalibratedMachine, refuse_unfollowed
 from calib.machine.grid import axes_of
 from calib.machine.residual_model import ResidualModel
 from calib.machine.tool_motion import jacobian_of
@@ -55,6 +55,7 @@ def tool_uncertainty(
     found, known = _readings(machine, readings), machine.known_uncertainty
     if conditions is not None:
         refuse_lacking(machine.robot, conditions, "the readings")
+        refuse_unfollowed(machine.robot, conditions)
     told = conditions or ordinary(found)
     view = _View(machine.of(tool), tool, base=base, tool_pose=tool_pose)
     return _blocks(_Errors(view, known), found, told)

@@ -13,7 +13,7 @@ from calib.assessment.choice import candidates, choose_terms
 from calib.assessment.linearised import Candidate
 from calib.compensation.commands import for_joint_targets
 from calib.compensation.controllers.ros import export_ros
-from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.errors import JobError, MeasurementError, RobotError
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.machine.model_file import model_json
@@ -191,6 +191,24 @@ def test_without_masses_moments_predict_as_well() -> None:
     held_out = np.hypot([known, without_masses], np.sqrt(3.0) * SIGMA)
     assert held_out[1] < 1.05 * held_out[0]
     assert without_masses < 0.03 * neither
+
+
+def test_without_masses_another_payload_is_refused() -> None:
+    """It was passed over without a word, and the arm predicted as if it carried what it did before."""
+    lab = Lab(0, 100, links=False, warm=False)
+    fit = calib.identify(machines.model(weightless(), **FREE, moments=list(DRIVES)), lab.measure())
+    machine, q = machine_of(fit), lab.readings[:5]
+    heavy = np.tile([0.0, 0.0, 0.6, 12.0], (5, 1, 1))
+    why = r"^shoulder_lift_joint\.moment_.* takes all masses as they were when it was identified, and cannot follow "
+    for ask in (
+        lambda told: machine.predict(q, conditions=told),
+        lambda told: tool_uncertainty(machine, q, conditions=told),
+        lambda told: for_joint_targets(machine, q, conditions=told),
+    ):
+        with pytest.raises(RobotError, match=why):
+            ask(Conditions(payload=heavy))
+        ask(Conditions(payload=0.0 * heavy))
+        ask(Conditions(payload=np.nan * heavy))
 
 
 def test_products_that_cannot_be_told_apart_have_no_interval() -> None:
