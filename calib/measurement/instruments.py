@@ -11,6 +11,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
+from calib.foundations.units import DEG
 from calib.foundations.words import refuse_other
 from calib.measurement.lens import CENTRE, FOCAL, NAMES, Lens
 
@@ -148,7 +149,7 @@ def refuse_other_focal_lengths(camera: Camera, where: str) -> None:
     for name in FOCAL:
         value = getattr(camera, name)
         if longest and value is not None and not _LEAST_FOCAL * longest <= value <= _MOST_FOCAL * longest:
-            view = np.degrees(2.0 * np.arctan(0.5 * longest / value))
+            view = 2.0 * np.arctan(0.5 * longest / value) / DEG
             raise JobError(
                 f"{where}.{name}: {value:.7g} px would see {view:.3g} deg in images of {longest} px; allowed are "
                 f"{_LEAST_FOCAL:g} to {_MOST_FOCAL:g} times their longer side."
