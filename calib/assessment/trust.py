@@ -95,7 +95,7 @@ def verdict(
             of_arm.lengths(fit, parts),
             of_arm.tool_and_base(fit),
             of_arm.lens(fit),
-            of_arm.warnings((*findings, *_unlike(fit), *_contradicted(fit))),
+            of_arm.warnings((*findings, *_contradicted(fit))),
         )
     return Verdict(told, (*shown_range(fit, own, held_out), *unshown(fit)))
 
@@ -116,6 +116,7 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
                     f"the {noise.quantity} residuals scatter by so much less.",
                 )
             )
+    found += _unlike(fit)
     rising = [
         parameter.name.removesuffix(_COMPLIANCE)
         for parameter, value, sigma in zip(fit.parameters, fit.values, fit.sigmas, strict=True)
@@ -149,7 +150,8 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
 def _unlike(fit: Fit) -> list[Finding]:
     """Return which tables the machine explains far worse than the others, as of a set-up whose load nobody told.
 
-    Uncertainty has one noise for all rows. A table whose sigma is not stated has one for itself, and is left out.
+    Uncertainty has one noise for all rows. A table whose sigma is not stated has one for itself, and is left out. It is
+    no doubt: rows of a narrow volume are explained better than those of a wide one, too.
     """
     found = []
     stated = [noise for noise in fit.noise if noise.degrees_of_freedom >= of_fit.ENOUGH and noise.chi_square >= 0.0]
@@ -166,7 +168,7 @@ def _unlike(fit: Fit) -> list[Finding]:
                 f"{fit.measurements[noise.measurements].where}: the {noise.quantity} residuals scatter "
                 f"{np.sqrt(square):.2g} times as much as those of the other tables, and its sigma does not say why. "
                 "Check the table's tool, sigma, payload and direction of gravity. Regions are stated with the noise of "
-                "all tables, and are too small for rows like these."
+                "all tables, and may be too small for rows like these."
             )
             found.append(Finding.warning("unlike-tables", said))
     return found

@@ -37,7 +37,6 @@ COUNTED = (
     "metres-as-millimetres",
     "not-held-out",
     "copied-rows",
-    "unlike-tables",
     "prior-contradicted",
 )
 
