@@ -22,6 +22,7 @@ from calib.identification.initialisation.base_and_tools import KnownFrames, TipO
 from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import tool_motions
+from calib.machine.turns import turned_towards
 from calib.machine.uncertainty import Uncertainty
 from calib.robot.conditions import ordinary
 from calib.robot.deviation import COMPONENTS
@@ -215,10 +216,11 @@ def _together(old: Uncertainty, new: Uncertainty, d: Array, free: BoolArray) -> 
 def _common_readings(old: CalibratedMachine, new: CalibratedMachine, seed: int) -> Array:
     before, after = old.known_uncertainty.identified, new.known_uncertainty.identified
     # The same readings, told in another turn, are a range in common.
-    turning = np.array([reading.turns for reading in old.robot.readings])[:, None]
-    turn = 2.0 * np.pi
-    away = np.round((after.mean(axis=1, keepdims=True) - before.mean(axis=1, keepdims=True)) / turn)
-    after = np.where(turning, after - turn * away, after)
+    middle = after.mean(axis=1)
+    turned = turned_towards(
+        middle[None], before[:, 0], before[:, 1], [reading.turns for reading in old.robot.readings]
+    )[0]
+    after = after + (turned - middle)[:, None]
     low, high = np.maximum(before[:, 0], after[:, 0]), np.minimum(before[:, 1], after[:, 1])
     # Where the two have no range in common, that of the new one.
     apart = (low > high)[:, None]

@@ -112,7 +112,7 @@ def for_poses(
 
     def correct(told: Conditions, rows: IntArray, so_far: Corrections | None) -> Corrections:
         # In the configuration that was found: another one would be reached from other sides.
-        begin = start if start is not None or so_far is None else so_far.readings
+        begin = so_far.readings if start is None and so_far is not None else start
         if begin is None:
             return _from_anywhere(model, poses[rows], tools[rows], told.subset(rows), how)
         return solve(model, Asked(poses, tools, begin, ("",) * n, told).subset(rows), how)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
+from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.identification.initialisation.cameras import every_image, sights
@@ -25,12 +25,11 @@ _FARTHER, _FAR = 8.0, 0.02
 
 
 class Strays(NamedTuple):
-    """Photographs that the others contradict: by name, how far off in m and rad, and which rows of each set are not."""
+    """Photographs that the others contradict: by name, and how far off in m and rad."""
 
     names: tuple[str, ...]
     lengths: Array
     angles: Array
-    kept: tuple[BoolArray, ...]
 
 
 def poses_seen(
@@ -114,14 +113,12 @@ def strays(model: ErrorModel, sets: Sequence[Measurements]) -> Strays | None:
         return None
     names = [name for data in sets for name in (data.group or [f"{data.where}:{line}" for line in data.lines])]
     bad = np.flatnonzero(~good)
-    ends = np.cumsum([len(data) for data in sets])[:-1]
-    return Strays(tuple(names[k] for k in bad), lengths[bad], angles[bad], tuple(np.split(good, ends)))
+    return Strays(tuple(names[k] for k in bad), lengths[bad], angles[bad])
 
 
 def _off(every: TipObservations, rows: IntArray, tools: int) -> tuple[Array, Array]:
     """Return how far off all poses are, in m and rad, where base and tools are found from some rows."""
-    some = TipObservations(every.tips[rows], every.position[rows], every.orientation[rows], every.tool[rows])
-    base, found, _ = base_and_tools(some, KnownFrames(None, None, None), np.tile(np.eye(4), (tools, 1, 1)))
+    base, found, _ = base_and_tools(every.some(rows), KnownFrames(None, None, None), np.tile(np.eye(4), (tools, 1, 1)))
     T = rigid.inverse(base @ every.tips @ found[every.tool]) @ rigid.placement(every.orientation, every.position)
     return np.linalg.norm(T[:, :3, 3], axis=1), np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)
 

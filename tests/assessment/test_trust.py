@@ -660,9 +660,9 @@ def test_a_sigma_that_is_too_large_is_remarked(cell: Cell) -> None:
     assert of_errors.prediction(fit, machine_of(fit), []).passed
 
 
-def input_of(fit: calib.Fit) -> Check:
+def input_of(fit: calib.Fit, findings: tuple[Finding, ...] | None = None) -> Check:
     """The check of what looks wrong in the input."""
-    (check,) = (check for check in calib.assess(fit).checks if check.name == "input")
+    (check,) = (check for check in calib.assess(fit, findings=findings).checks if check.name == "input")
     return check
 
 
@@ -689,8 +689,7 @@ def test_a_scale_of_a_board_that_is_far_from_what_is_stated_is_doubted(factor: f
     true = cameras.scene(rng, arm, "tip", places=cameras.BOARD / factor, sigma=0.1)
     seen = cameras.photographed(robot, true, 30, true.camera, Board(), rng, 0.1)
     fit = calib.identify(calib.error_model(robot, offsets="all", base="fixed", tool="pose"), seen)
-    found = calib.assess(fit, findings=())
-    (check,) = (check for check in found.checks if check.name == "input")
+    check = input_of(fit, ())
     assert check.passed == passed, check
     assert check.sentence.startswith("board.scale is found -3.") != passed
 

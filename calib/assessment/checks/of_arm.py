@@ -135,18 +135,20 @@ def _common_scale(
     values, units, moved = np.column_stack([fit.values, scaled])[own], scales(fit.parameters)[own], moved[own]
     longer = values[moved] / units[moved, None]
     x = R[:, moved] @ longer
+    every = float(x[:, 1] @ x[:, 1])
+    # From the root of a sum of squares over all rows to m, rms.
+    per_row = 1.0 / (float(np.sqrt(sum(len(part.r) for part in parts))) * per_metre(parts))
+    if share := _by_scales(R, values[:, 0] / units, [fit.parameters[k] for k in own]):
+        return *share, float(np.sqrt(every)) * per_row, 1.0
     others = R[:, ~moved]
     taken = np.linalg.lstsq(others, x, rcond=1e-9)[0]
     left = x - others @ taken
     square = float(left[:, 1] @ left[:, 1])
-    whole = float(x[:, 1] @ x[:, 1])
-    if share := _by_scales(R, values[:, 0] / units, [fit.parameters[k] for k in own]):
-        return *share, float(np.sqrt(whole / sum(len(part.r) for part in parts))) / per_metre(parts), 1.0
-    if square <= 1e-6 * whole:
+    if square <= 1e-6 * every:
         return (NOTHING,) * 4
     apart = known[:, own][:, moved] @ longer - known[:, own][:, ~moved] @ taken
     by_rows = square - float(apart[:, 1] @ apart[:, 1])
-    moves = float(np.sqrt(max(by_rows, 0.0) / sum(len(part.r) for part in parts))) / per_metre(parts)
+    moves = float(np.sqrt(max(by_rows, 0.0))) * per_row
     moves = max(moves, float(np.abs(apart[:, 1] * sigmas).max(initial=0.0)))
     both, whole = float(left[:, 0] @ left[:, 1]), float(left[:, 0] @ left[:, 0])
     alike = both**2 / (square * whole) if whole > 0.0 else 0.0
@@ -187,6 +189,8 @@ def _by_scales(R: Array, z: Array, parameters: Sequence[Parameter]) -> tuple[flo
 def _known_lengths(fit: Fit) -> tuple[Array, Array]:
     """Return how lengths known between targets follow the parameters (k, p), whitened, and their sigmas (k,) in m."""
     lengths = tuple(relation for relation in fit.model.relations if relation.kind != "angle")
+    if not lengths:
+        return np.zeros((0, len(fit.parameters))), np.zeros(0)
     frames, deviations = fit.machine.frames, fit.machine.deviations
     problem = Problem(fit.model, fit.parameters, frames, fit.measurements, deviations, lengths, fit.losses)
     x = values_at(fit.model.robot, fit.parameters, frames, deviations)

@@ -39,8 +39,8 @@ class TipObservations(NamedTuple):
     orientation: Array
     tool: IntArray
 
-    def some(self, which: BoolArray) -> "TipObservations":
-        """Return some rows, by mask (N,)."""
+    def some(self, which: BoolArray | IntArray) -> "TipObservations":
+        """Return some rows, by mask (N,) or number."""
         return TipObservations(self.tips[which], self.position[which], self.orientation[which], self.tool[which])
 
 
