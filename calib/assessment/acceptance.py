@@ -28,8 +28,7 @@ from calib.foundations.linear import one_thread, svd, triangle
 from calib.foundations.ranges import refuse_beyond
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.tool_uncertainty import common_errors, residual_errors
-from calib.machine.uncertainty import Uncertainty
+from calib.machine.tool_uncertainty import common_errors, residual_errors, row_noise
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import TipModel
@@ -156,7 +155,7 @@ def verify(
         raise MeasurementError(f"{data.where}: has no rows to verify by.")
     data = _of_this_machine(machine, data)
     refuse_lacking(machine.robot, data.conditions, data.where)
-    sigma = _sigma(machine.known_uncertainty, data)
+    sigma = _sigma(machine, data)
     data.tips(machine.robot, machine.deviations)  # refuses rows whose loops do not close
     as_calibrated = _judged(machine, data, sigma, base=False)
     refitted, moved, alike, shown = None, None, None, True
@@ -188,25 +187,22 @@ def _of_this_machine(machine: CalibratedMachine, data: Measurements) -> Measurem
     return machine.with_own_names(data)
 
 
-def _sigma(uncertainty: Uncertainty, data: Measurements) -> Array:
+def _sigma(machine: CalibratedMachine, data: Measurements) -> Array:
     """Return the standard deviations (N, 3 or 6) of the rows: instrument and model part."""
-    parts = []
-    for k, (quantity, level) in enumerate(
-        (("position", uncertainty.position), ("orientation", uncertainty.orientation))[: data.sigma.shape[1] // 3]
-    ):
-        if level is None:
+    sigma = row_noise(machine, data)
+    for k, quantity in enumerate(("position", "orientation")[: sigma.shape[1] // 3]):
+        part = sigma[:, 3 * k : 3 * k + 3]
+        if np.isnan(part).any():
             raise MeasurementError(
                 f"{data.where}: the calibration was made without any {quantity}; verify by the kind of data it was "
                 "made from."
             )
-        part = level.of_rows(data.sigma[:, 3 * k : 3 * k + 3])
         if not (part > _LEAST_NOISE).all():
             raise MeasurementError(
                 f"{data.where}: neither the rows nor uncertainty.json of the calibration state any noise of a "
                 f"{quantity}; give the standard deviation of the instrument."
             )
-        parts.append(part)
-    return np.hstack(parts)
+    return sigma
 
 
 def _realigned(machine: CalibratedMachine, data: Measurements) -> CalibratedMachine:

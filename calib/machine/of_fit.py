@@ -5,27 +5,32 @@ Whoever reads a machine from a folder of results needs none of this, nor what a 
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.chance import exceeded
 from calib.foundations.errors import JobError
 from calib.identification.fit import Fit
+from calib.identification.losses import scatter_weight
 from calib.identification.machine import Layout, Machine
 from calib.identification.noise import Noise
 from calib.identification.parameters import Parameter, directions, scales
 from calib.machine.budget import ErrorsByCause, errors_by_cause
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.residual_model import ResidualModel
-from calib.machine.uncertainty import NoiseLevel, Uncertainty
-from calib.measurement.kinds import UNIT_OF
+from calib.machine.uncertainty import NoiseLevel, OwnNoise, Uncertainty
+from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.robot.joint_terms import in_setup
 from calib.robot.sampling import least_determinant
 
 # Directions of the covariance below this share of the largest are rounding.
 _ROUNDING = 1e-12
+# Rows scatter more than others where chance makes them do so less often than this.
+_CHANCE = 0.01
 
 
 @checked
@@ -84,6 +89,7 @@ def _uncertainty(fit: Fit) -> Uncertainty:
         _level(fit, errors, "rad"),
         read_only(identified),
         _closure_determinant(fit),
+        _own_noise(fit, errors),
     )
 
 
@@ -149,22 +155,83 @@ def _beyond(variance: float, noise: Noise) -> float:
     return max(beyond - chance / beyond, 0.0)
 
 
-def _level(fit: Fit, errors: ErrorsByCause, unit: str) -> NoiseLevel | None:
+class _Rows(NamedTuple):
+    """Of a component the share of rows that count, and how much larger their squares are than those of all."""
+
+    share: float = 1.0
+    square: float = 1.0
+
+
+def _own_noise(fit: Fit, errors: ErrorsByCause) -> tuple[OwnNoise, ...]:
+    """Return the noise of every set-up with every tool, as measured; of those that scatter no more, the common one.
+
+    None where none scatters more: the model errs elsewhere as it does there.
+    """
+    names = fit.measurements[0]
+    pairs = sorted({pair for data in fit.measurements for pair in _pairs(data)})
+    if len(pairs) < 2:
+        return ()
+    common = [_level(fit, errors, unit) for unit in ("m", "rad")]
+    found = []
+    for setup, tool in pairs:
+        rows = [_rows(fit, noise, setup, tool) for noise in fit.noise_by_rows]
+        own = [_level(fit, errors, unit, rows) for unit in ("m", "rad")]
+        levels = [_noisier(one, every) for one, every in zip(own, common, strict=True)]
+        found.append(OwnNoise(names.setups[setup], names.tools[tool], *levels))
+    apart = any(level is not every for one in found for level, every in zip(one[2:], common, strict=True))
+    return tuple(found) if apart else ()
+
+
+def _pairs(data: Measurements) -> set[tuple[int, int]]:
+    """Return which set-ups and tools the rows have, by number."""
+    return {(int(s), int(t)) for end in data.ends for s, t in zip(data.setup, end.tool, strict=True)}
+
+
+def _rows(fit: Fit, noise: Noise, setup: int, tool: int) -> _Rows:
+    """Return how many rows of a component are of a set-up and a tool, and how they scatter; outliers weigh less."""
+    data, loss = fit.measurements[noise.measurements], fit.losses[noise.measurements]
+    own = (data.setup == setup) & np.any([end.tool == tool for end in data.ends], axis=0)
+    if own.all() or not own.any():
+        return _Rows(float(own.all()))
+    columns = next(one.columns for one in QUANTITIES[data.kind] if one.name == noise.quantity)
+    sigma = np.hypot(data.sigma[:, columns], noise.model)
+    squares = np.mean((fit.residuals[noise.measurements][:, columns] / sigma) ** 2, axis=1)
+    squares = squares * scatter_weight(loss, np.sqrt(squares))
+    every = float(np.mean(squares))
+    return _Rows(float(np.mean(own)), float(np.mean(squares[own])) / every if every > 0.0 else 1.0)
+
+
+def _noisier(own: NoiseLevel | None, common: NoiseLevel | None) -> NoiseLevel | None:
+    """Return the noise of some rows where it is larger than that of all, and by no chance; else the common one."""
+    if own is None or common is None or own.model <= common.model:
+        return common
+    # What the common noise would leave there, beside that of the instrument.
+    expected = own.total**2 - own.model**2 + common.model**2
+    if expected > 0.0:
+        square = own.degrees_of_freedom * own.total**2 / expected
+        if exceeded(square, round(own.degrees_of_freedom), common.degrees_of_freedom) > _CHANCE:
+            return common
+    return own
+
+
+def _level(fit: Fit, errors: ErrorsByCause, unit: str, rows: Sequence[_Rows] | None = None) -> NoiseLevel | None:
+    """Return the noise of lengths or angles, of some rows of every component or of all."""
     noises = [
         replace(noise, degrees_of_freedom=own) for noise, own in zip(fit.noise_by_rows, errors.freedom, strict=True)
     ]
-    every = zip(noises, errors.noise, errors.repeated, strict=True)
-    parts = [one for one in every if UNIT_OF[one[0].quantity] == unit]
-    freedom = np.array([noise.degrees_of_freedom for noise, _, _ in parts])
+    every = zip(noises, errors.noise, errors.repeated, rows or [_Rows()] * len(noises), strict=True)
+    parts = [one for one in every if UNIT_OF[one[0].quantity] == unit and one[3].share > 0.0]
+    freedom = np.array([own.share * noise.degrees_of_freedom for noise, _, _, own in parts])
     if not parts or freedom.sum() <= 0.0:
         return None
 
     def mean(squares: Sequence[float]) -> float:
         return float(np.sqrt(np.average(squares, weights=freedom)))
 
-    total = mean([(share * noise.total) ** 2 for noise, share, _ in parts])
-    model = mean([_beyond((share * noise.total) ** 2, noise) for noise, share, _ in parts])
-    estimated = any(noise.model > 0.0 or repeated for noise, _, repeated in parts)
+    variances = [own.square * (share * noise.total) ** 2 for noise, share, _, own in parts]
+    total = mean(variances)
+    model = mean([_beyond(variance, noise) for variance, (noise, *_) in zip(variances, parts, strict=True)])
+    estimated = any(noise.model > 0.0 or repeated or own.square != 1.0 for noise, _, repeated, own in parts)
     # The estimate of the total has the freedom of the residuals; where nothing had to be added, it is not an estimate.
     # Few poses may leave less than one degree of freedom to positions, or to orientations.
     return NoiseLevel(model, total, max(float(freedom.sum()), 1.0) if estimated else float("inf"))

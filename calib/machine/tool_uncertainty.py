@@ -106,6 +106,22 @@ def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
     return found
 
 
+def row_noise(machine: CalibratedMachine, data: Measurements) -> Array:
+    """Return the standard deviations (N, 3 or 6) of the rows of ``data``: the instrument's part and the model's.
+
+    As rows of their set-up and tool scatter; nan where nothing of the kind was measured.
+    """
+    known, found = machine.known_uncertainty, np.full(data.sigma.shape, np.nan)
+    for s, setup in enumerate(data.setups):
+        for k, tool in enumerate(data.tools):
+            rows = np.flatnonzero((data.tool == k) & (data.setup == s))
+            for q, level in enumerate(known.noise(setup, tool)):
+                columns = slice(3 * q, 3 * q + 3)
+                if level is not None:
+                    found[rows, columns] = level.of_rows(data.sigma[rows, columns])
+    return found
+
+
 def residual_errors(machine: CalibratedMachine, data: Measurements) -> Array:
     """Return a factor (N, 3 or 6, r) of the covariance of what a residual model gets wrong at the rows of ``data``.
 
@@ -133,7 +149,7 @@ class _View:
     """
 
     def __init__(self, machine: CalibratedMachine, tool: str, *, base: bool, tool_pose: bool) -> None:
-        self.machine, self.base, self._tool_pose = machine, base, tool_pose
+        self.machine, self.tool, self.base, self._tool_pose = machine, tool, base, tool_pose
         self.T_tool, self._number = machine.tools[tool], list(machine.tools).index(tool)
         self._tips = TipModel(machine.robot, machine.deviations)
         self._layout, self._state = machine.layout, machine.state
@@ -266,7 +282,7 @@ def _of_block(of: _Errors, readings: Array, conditions: Conditions) -> tuple[Arr
     for k, (start, end) in enumerate(itertools.pairwise(ends)):
         squares[:, k] = _by_quantity(errors[:, :, start:end])
     scatter = np.zeros((len(readings), 6))
-    for k, level in enumerate((known.position, known.orientation)):
+    for k, level in enumerate(known.noise(of.view.machine.setup, of.view.tool)):
         if level is not None:
             scatter[:, 3 * k : 3 * k + 3] = level.model**2
     squares[:, CAUSES.index("model")] += scatter.reshape(-1, 2, 3).sum(axis=2)

@@ -1,6 +1,6 @@
 """What is known of the uncertainty of a calibrated machine, and of its tool: plain data."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -85,6 +85,15 @@ class NoiseLevel:
         return np.asarray(np.where(instrument > 0.0, np.hypot(instrument, self.model), self.total))
 
 
+class OwnNoise(NamedTuple):
+    """The noise of rows of one set-up and one tool: of lengths and of angles, None where none was measured."""
+
+    setup: str
+    tool: str
+    position: NoiseLevel | None
+    orientation: NoiseLevel | None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
     """How sure a calibrated machine is of itself; kept in the results' folder as ``uncertainty.json``.
@@ -97,7 +106,8 @@ class Uncertainty:
     ``null_basis`` (n, k): changes of the state in the null space, each one parameter scale long. ``position`` and
     ``orientation``: the noise of lengths and of angles, None where none was measured. ``identified`` (nr, 2): least
     and greatest of every reading in the data. ``closure_determinant``: how near loops came to a dead centre there,
-    where it is 0; None without loops, or where it is not known.
+    where it is 0; None without loops, or where it is not known. ``own_noise``: of every pair of set-up and tool that
+    was measured, where rows of one scatter more than those of the others, as under a load that nobody told.
     """
 
     factor: Array
@@ -108,6 +118,19 @@ class Uncertainty:
     orientation: NoiseLevel | None
     identified: Array
     closure_determinant: float | None = None
+    own_noise: tuple[OwnNoise, ...] = ()
+
+    def noise(self, setup: str, tool: str) -> tuple[NoiseLevel | None, NoiseLevel | None]:
+        """Return the noise of lengths and of angles in a set-up with a tool.
+
+        Where the two were not measured together, the largest of what was measured with one of them.
+        """
+        alike = [one for one in self.own_noise if one.setup == setup or one.tool == tool]
+        own = [one for one in alike if one.setup == setup and one.tool == tool] or alike
+        return (
+            _largest([one.position for one in own] or [self.position]),
+            _largest([one.orientation for one in own] or [self.orientation]),
+        )
 
     @property
     def shown(self) -> Array:
@@ -118,7 +141,7 @@ class Uncertainty:
     @property
     def degrees_of_freedom(self) -> float:
         """Degrees of freedom of the covariance: the fewest of what it was estimated from."""
-        levels = (self.position, self.orientation)
+        levels = (self.position, self.orientation, *(level for one in self.own_noise for level in one[2:]))
         return min((level.degrees_of_freedom for level in levels if level is not None), default=float("inf"))
 
     def __repr__(self) -> str:
@@ -212,6 +235,10 @@ class UncertaintyMap(_Known):
 def rms_by_cause(budget: Mapping[str, Array]) -> dict[str, list[float]]:
     """Return the rms over the poses of what every cause of a budget adds to position and orientation, in m and rad."""
     return {cause: np.sqrt(np.mean(sigmas**2, axis=0)).tolist() for cause, sigmas in budget.items()}
+
+
+def _largest(levels: Sequence[NoiseLevel | None]) -> NoiseLevel | None:
+    return max((level for level in levels if level is not None), key=lambda level: level.total, default=None)
 
 
 def _root_trace(covariance: Array) -> Array:

@@ -15,7 +15,7 @@ from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.json_text import NotJsonError, validated
 from calib.identification.machine import Layout
 from calib.machine.run import Sha256, refuse_other_run
-from calib.machine.uncertainty import CAUSES, LeftOut, NoiseLevel, Uncertainty, Waves, WindUp
+from calib.machine.uncertainty import CAUSES, LeftOut, NoiseLevel, OwnNoise, Uncertainty, Waves, WindUp
 from calib.robot.joint_terms import foreign
 from calib.robot.robot import Robot
 from calib.robot.terms import JointTerm
@@ -72,6 +72,11 @@ class NoiseEntry(Strict):
         return NoiseLevel(self.model, self.total, freedom)
 
 
+def level_of(entry: NoiseEntry | None) -> NoiseLevel | None:
+    """Return the noise level of an entry; None where there is none."""
+    return None if entry is None else entry.level
+
+
 class WavesEntry(Strict):
     """Errors that follow the readings, as :class:`calib.machine.uncertainty.Waves` has them."""
 
@@ -93,6 +98,20 @@ class WindUpEntry(Strict):
         return JointTerm(self.reading, "moment", body=self.body)
 
 
+class OwnNoiseEntry(Strict):
+    """The noise of one set-up with one tool, as :class:`calib.machine.uncertainty.OwnNoise` has it."""
+
+    setup: str
+    tool: str
+    position: NoiseEntry | None
+    orientation: NoiseEntry | None
+
+    @property
+    def noise(self) -> OwnNoise:
+        """The noise."""
+        return OwnNoise(self.setup, self.tool, level_of(self.position), level_of(self.orientation))
+
+
 class UncertaintyFile(Strict):
     """Schema 3 of ``uncertainty.json``: as :class:`calib.machine.uncertainty.Uncertainty`, in m and rad.
 
@@ -107,6 +126,7 @@ class UncertaintyFile(Strict):
     identified: dict[str, _Range]
     position: NoiseEntry | None
     orientation: NoiseEntry | None
+    own_noise: tuple[OwnNoiseEntry, ...] = ()
     causes: dict[Literal["instrument", "parameters", "model"], Annotated[int, Field(ge=0)]] | None = None
     waves: WavesEntry | None = None
     wind_up: tuple[WindUpEntry, ...] = ()
@@ -126,6 +146,7 @@ def uncertainty_json(uncertainty: Uncertainty, robot: Robot, run: str | None = N
         "identified": dict(zip(names, ranges, strict=True)),
         "position": _plain(uncertainty.position),
         "orientation": _plain(uncertainty.orientation),
+        **({"own_noise": own} if (own := [_plain_own(one) for one in uncertainty.own_noise]) else {}),
         "causes": dict(zip(CAUSES, uncertainty.causes, strict=False)),
         "waves": None if left_out is None else _plain_waves(left_out.waves, names),
         "wind_up": [] if left_out is None else _plain_wind_up(left_out.wind_up),
@@ -144,6 +165,10 @@ def _plain(level: NoiseLevel | None) -> dict[str, float | None] | None:
         return None
     freedom = None if np.isinf(level.degrees_of_freedom) else level.degrees_of_freedom
     return {**asdict(level), "degrees_of_freedom": freedom}
+
+
+def _plain_own(one: OwnNoise) -> dict[str, object]:
+    return one._asdict() | {"position": _plain(one.position), "orientation": _plain(one.orientation)}
 
 
 def _plain_waves(waves: Waves, names: Sequence[str]) -> dict[str, object]:
@@ -213,10 +238,11 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
         causes,
         left_out,
         null_basis,
-        None if found.position is None else found.position.level,
-        None if found.orientation is None else found.orientation.level,
+        level_of(found.position),
+        level_of(found.orientation),
         read_only([found.identified[name] for name in names]),
         found.closure_determinant,
+        tuple(entry.noise for entry in found.own_noise),
     )
 
 

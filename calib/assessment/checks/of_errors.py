@@ -15,7 +15,7 @@ from calib.foundations.linear import spread
 from calib.identification.fit import Fit
 from calib.identification.repeats import by_pose
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.tool_uncertainty import common_errors, residual_errors
+from calib.machine.tool_uncertainty import common_errors, residual_errors, row_noise
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import End, Measurements
 from calib.measurement.poses import ONE_POSE, both_ends, poses_of
@@ -185,8 +185,8 @@ def regions(machine: CalibratedMachine, held_out: Sequence[JudgedSet]) -> Check:
 
 def _inside(machine: CalibratedMachine, one: JudgedSet) -> BoolArray:
     """Return which positions (N,) are inside their regions; none (0,) where these are not known."""
-    data, level = one.data, machine.known_uncertainty.position
-    if level is None or data.kind not in ("position", "pose") or not _known(machine, data):
+    data = one.data
+    if machine.known_uncertainty.position is None or data.kind not in ("position", "pose") or not _known(machine, data):
         return np.zeros(0, dtype=np.bool_)
     most = bound(REGION, 3, machine.known_uncertainty.degrees_of_freedom)
     found = np.empty(len(data), dtype=np.bool_)
@@ -194,7 +194,7 @@ def _inside(machine: CalibratedMachine, one: JudgedSet) -> BoolArray:
         rows = np.arange(start, min(start + _BLOCK, len(data)))
         own = data.subset(rows)
         F = np.concatenate([of(machine, own)[:, :3] for of in (common_errors, residual_errors)], axis=2)
-        noise = np.maximum(level.of_rows(own.sigma[:, :3]), ROUNDING)
+        noise = np.maximum(row_noise(machine, own)[:, :3], ROUNDING)
         C = F @ np.swapaxes(F, 1, 2) + noise[:, :, None] ** 2 * np.eye(3)
         r = one.after[rows, :3, None]
         found[rows] = (np.swapaxes(r, 1, 2) @ np.linalg.solve(C, r))[:, 0, 0] <= most
