@@ -150,8 +150,8 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
 def _unlike(fit: Fit) -> list[Finding]:
     """Return which tables the machine explains far worse than the others, as of a set-up whose load nobody told.
 
-    A table whose sigma is not stated is left out. It is no doubt: rows of a narrow volume are explained better than those
-    of a wide one, too, and regions in a set-up or with a tool of its own count it.
+    A table whose sigma is not stated is left out. It is no doubt: rows of a narrow volume are explained better than
+    those of a wide one, too, and regions in a set-up or with a tool of its own count it.
     """
     found = []
     stated = [noise for noise in fit.noise if noise.degrees_of_freedom >= of_fit.ENOUGH and noise.chi_square >= 0.0]
@@ -167,8 +167,8 @@ def _unlike(fit: Fit) -> list[Finding]:
             said = (
                 f"{fit.measurements[noise.measurements].where}: the {noise.quantity} residuals scatter "
                 f"{np.sqrt(square):.2g} times as much as those of the other tables, and its sigma does not say why. "
-                "Check the table's tool, sigma, payload and direction of gravity. Regions count it in a set-up or with a "
-                "tool of its own; in others they may be too small for rows like these."
+                "Check the table's tool, sigma, payload and direction of gravity. Regions count it in a set-up or "
+                "with a tool of its own; in others they may be too small for rows like these."
             )
             found.append(Finding.warning("unlike-tables", said))
     return found

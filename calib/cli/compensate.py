@@ -42,8 +42,8 @@ def compensate(
         from calib.compensation import targets as targets_of
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.words import counted
+        from calib.machine.identified import outside_identified
         from calib.machine.model_file import load_machine
-        from calib.machine.tool_uncertainty import outside_identified
         from calib.presentation.console import warning
     refuse_taken(out)
     with telling.progress(steps=2) as say:
@@ -59,7 +59,7 @@ def compensate(
         write_new(out, targets_of.corrected_csv(model, wanted, found))
     outside: tuple[str, ...] = ()
     if model.uncertainty is not None and found.reached.any():
-        outside = tuple(outside_identified(model, found.readings[found.reached]))
+        outside = outside_identified(model, found.readings[found.reached], wanted.conditions.subset(found.reached))
     missed = len(found) - int(found.reached.sum())
     all_of_it = "it" if len(found) == 1 else "all"
     said = f"{missed} cannot be reached, and the table says why" if missed else f"{all_of_it} can be reached"

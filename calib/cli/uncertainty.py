@@ -31,8 +31,9 @@ def uncertainty(
     """
     with loading():
         from calib.foundations.files import refuse_taken, write_new
+        from calib.machine.identified import outside_identified
         from calib.machine.model_file import load_machine
-        from calib.machine.tool_uncertainty import outside_identified, uncertainty_map
+        from calib.machine.tool_uncertainty import uncertainty_map
         from calib.machine.uncertainty import rms_by_cause
         from calib.presentation.console import warning
         from calib.presentation.map_tables import map_csv, map_sheet

@@ -47,8 +47,8 @@ def verify(
         from calib.foundations.errors import MeasurementError
         from calib.foundations.ranges import RANGES, parse_within
         from calib.job.columns import columns_of_results
+        from calib.machine.identified import outside_identified
         from calib.machine.model_file import load_machine
-        from calib.machine.tool_uncertainty import outside_identified
         from calib.measurement.checks import refuse_findings, table_findings
         from calib.measurement.read import read_measurements
         from calib.measurement.table import Columns, HeaderError
@@ -85,7 +85,7 @@ def verify(
             limit=None if limit is None else parse_within(limit, RANGES["sigma"], "limit"),
             refit=refit_base,
         )
-        outside = outside_identified(machine, data.readings)
+        outside = outside_identified(machine, data.readings, data.conditions)
     telling.tell(
         lambda: {**found.contents(), "outside": list(outside)},
         lambda: [*map(warning, outside), verification_sheet(found), *verification_lines(found)],

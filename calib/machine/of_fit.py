@@ -20,6 +20,7 @@ from calib.identification.noise import Noise
 from calib.identification.parameters import Parameter, directions, scales
 from calib.machine.budget import ErrorsByCause, errors_by_cause
 from calib.machine.calibrated import CalibratedMachine
+from calib.machine.identified import condition_ranges
 from calib.machine.residual_model import ResidualModel
 from calib.machine.uncertainty import NoiseLevel, OwnNoise, Uncertainty
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
@@ -90,6 +91,7 @@ def _uncertainty(fit: Fit) -> Uncertainty:
         read_only(identified),
         _closure_determinant(fit),
         _own_noise(fit, errors),
+        condition_ranges(fit.robot, (end for data in fit.measurements for end in data.loaded(fit.robot).ends)),
     )
 
 

@@ -17,12 +17,10 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, triangle
-from calib.foundations.units import DISPLAY_OF
 from calib.machine.calibrated import CalibratedMachine, refuse_unfollowed
 from calib.machine.grid import axes_of
 from calib.machine.residual_model import ResidualModel
 from calib.machine.tool_motion import jacobian_of
-from calib.machine.turns import turned_towards
 from calib.machine.uncertainty import CAUSES, ToolUncertainty, Uncertainty, UncertaintyMap
 from calib.machine.winding import ReadingErrors
 from calib.measurement.conditions import refuse_lacking
@@ -366,32 +364,3 @@ def _readings(machine: CalibratedMachine, readings: npt.ArrayLike) -> Array:
     if found.ndim != 2 or found.shape[1] != width or not len(found) or not np.isfinite(found).all():
         raise MeasurementError(f"readings of shape {found.shape}: needs finite numbers (N, {width}), one row or more.")
     return found
-
-
-# ---- the identified set
-
-
-@checked
-def outside_identified(machine: CalibratedMachine, readings: Array) -> tuple[str, ...]:
-    """Return, for every joint whose readings (N, nr) leave the range it was identified in, one sentence.
-
-    A reading leaves the range if it is beyond the outermost pose by more than a twentieth of the range; whole turns do
-    not count where they bring back all that follows the reading. A model is only proven where it was measured: outside,
-    the stated sigmas hold only if the model is right. Raises MeasurementError for readings of another shape.
-    """
-    said = []
-    readings = _readings(machine, readings)
-    low, high = machine.known_uncertainty.identified.T
-    slack = 0.05 * (high - low)
-    for j, reading in enumerate(machine.robot.readings):
-        values = turned_towards(readings[:, j], low[j], high[j], reading.turns)
-        beyond = np.maximum(low[j] - slack[j] - values, values - high[j] - slack[j])
-        if np.any(beyond > 0.0):
-            worst = int(np.argmax(beyond))
-            factor, unit = DISPLAY_OF[reading.dimension]
-            said.append(
-                f"{reading.name} is outside the range it was identified in, {low[j] * factor:.4g} to "
-                f"{high[j] * factor:.4g} {unit}, in {np.count_nonzero(beyond > 0.0)} of {len(readings)} rows; "
-                f"the farthest is {readings[worst, j] * factor:.4g} {unit}."
-            )
-    return tuple(said)

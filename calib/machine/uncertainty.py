@@ -1,7 +1,7 @@
 """What is known of the uncertainty of a calibrated machine, and of its tool: plain data."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -108,6 +108,7 @@ class Uncertainty:
     and greatest of every reading in the data. ``closure_determinant``: how near loops came to a dead centre there,
     where it is 0; None without loops, or where it is not known. ``own_noise``: of every pair of set-up and tool that
     was measured, where rows of one scatter more than those of the others, as under a load that nobody told.
+    ``conditions``: least and greatest ``temperature``, in degC, and ``payload``, in kg, where terms follow them.
     """
 
     factor: Array
@@ -119,6 +120,7 @@ class Uncertainty:
     identified: Array
     closure_determinant: float | None = None
     own_noise: tuple[OwnNoise, ...] = ()
+    conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def noise(self, setup: str, tool: str) -> tuple[NoiseLevel | None, NoiseLevel | None]:
         """Return the noise of lengths and of angles in a set-up with a tool.

@@ -127,6 +127,7 @@ class UncertaintyFile(Strict):
     position: NoiseEntry | None
     orientation: NoiseEntry | None
     own_noise: tuple[OwnNoiseEntry, ...] = ()
+    conditions: dict[Literal["temperature", "payload"], _Range] = Field(default_factory=dict)
     causes: dict[Literal["instrument", "parameters", "model"], Annotated[int, Field(ge=0)]] | None = None
     waves: WavesEntry | None = None
     wind_up: tuple[WindUpEntry, ...] = ()
@@ -147,6 +148,7 @@ def uncertainty_json(uncertainty: Uncertainty, robot: Robot, run: str | None = N
         "position": _plain(uncertainty.position),
         "orientation": _plain(uncertainty.orientation),
         **({"own_noise": own} if (own := [_plain_own(one) for one in uncertainty.own_noise]) else {}),
+        **({"conditions": dict(uncertainty.conditions)} if uncertainty.conditions else {}),
         "causes": dict(zip(CAUSES, uncertainty.causes, strict=False)),
         "waves": None if left_out is None else _plain_waves(left_out.waves, names),
         "wind_up": [] if left_out is None else _plain_wind_up(left_out.wind_up),
@@ -243,6 +245,7 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
         read_only([found.identified[name] for name in names]),
         found.closure_determinant,
         tuple(entry.noise for entry in found.own_noise),
+        {str(name): ends for name, ends in found.conditions.items()},
     )
 
 

@@ -15,7 +15,8 @@ from calib.compensation.commands import for_joint_targets
 from calib.foundations.errors import JobError, MeasurementError, RobotError
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
-from calib.machine.model_file import model_json
+from calib.machine.identified import outside_identified
+from calib.machine.model_file import machine_files, model_json
 from calib.machine.of_fit import machine_of
 from calib.machine.tool_uncertainty import tool_uncertainty
 from calib.measurement.table import table_from_arrays
@@ -243,3 +244,19 @@ def test_targets_of_a_table_say_them(folder: tuple[Path, calib.Fit]) -> None:
     np.testing.assert_allclose(model.tips(found.readings, wanted.conditions), model.robot.tips(u), rtol=0, atol=2e-6)
     with pytest.raises(MeasurementError, match=r"which shoulder_pan_joint\.backlash of the machine needs"):
         targets.targets(table_from_arrays(columns), model)
+
+
+def test_a_temperature_beyond_those_that_were_measured_is_outside(folder: tuple[Path, calib.Fit]) -> None:
+    path, fit = folder
+    found, degrees = machine_of(fit), fit.measurements[0].conditions.temperature
+    assert degrees is not None
+    for name, content in machine_files(found).items():
+        (path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    again, u = calib.load_machine(path), np.zeros((3, 6))
+    assert again.known_uncertainty.conditions == {"temperature": (degrees.min(), degrees.max())}
+    assert outside_identified(again, u) == ()
+    told = Conditions(temperature=np.array([20.0, 41.0, 60.0]))
+    assert outside_identified(again, u, told) == (
+        f"The temperature is outside the range it was identified in, {degrees.min():.4g} to {degrees.max():.4g} degC, "
+        "in 1 of 3 rows; the farthest is 60 degC.",
+    )

@@ -13,8 +13,9 @@ from calib.identification import system
 from calib.identification.identify import residuals_of
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
+from calib.machine.identified import outside_identified
 from calib.machine.model_file import machine_files
-from calib.robot.conditions import Conditions
+from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.gravity import Holding, Load, Payload
 from calib.robot.joint_terms import in_setup, weights_of
 from calib.robot.load import load_robot
@@ -283,3 +284,23 @@ def test_regions_hold_under_a_load_that_nobody_told(seed: int) -> None:
         new = rows(machine, robot, rng, 200, bases[name], mass=kg, sigma=0.0)
         assert inside(found, name) > 0.88
     assert 1.0 - inside(common, "loaded") > 1.2 * (1.0 - inside(found, "loaded"))
+
+
+def test_a_payload_beyond_those_that_were_measured_is_outside() -> None:
+    rng = np.random.default_rng(5)
+    robot, machine, base = calib.load_robot(*UR10), arm(rng), machines.anywhere(rng)
+    tables = [
+        rows(machine, robot, rng, 40, base, mass=mass).carrying(robot, Payload(mass, CENTRE)) for mass in (0.0, 2.0)
+    ]
+    found = calib.machine_of(calib.identify(machines.model(robot, offsets="all", elastic=list(SOFT)), tables))
+    known, q = found.known_uncertainty, tables[0].readings[:10]
+    assert dict(known.conditions) == {"payload": (0.0, 2.0)}
+    assert outside_identified(found, q) == outside_identified(found, q, tables[1].conditions.subset(slice(10))) == ()
+    heavy = replace(tables[0].subset(np.arange(10)), conditions=NO_CONDITIONS).carrying(robot, Payload(5.0, CENTRE))
+    assert outside_identified(found, q, heavy.conditions) == (
+        "The payload is outside the range it was identified in, 0 to 2 kg, in 10 of 10 rows; the farthest is 5 kg.",
+    )
+    # So is one that the set-up bears in which the machine stands.
+    again = replace(found, robot=found.robot.with_loads({found.setup: Load(payload=Payload(9.0))}))
+    (said,) = outside_identified(again, q)
+    assert said.endswith("in 10 of 10 rows; the farthest is 9 kg.")

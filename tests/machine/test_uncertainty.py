@@ -13,11 +13,11 @@ from calib.foundations.chance import bound
 from calib.foundations.errors import MeasurementError, OutputError
 from calib.identification.parameters import scales
 from calib.identification.system import Problem
+from calib.machine.identified import outside_identified
 from calib.machine.model_file import model_json
 from calib.machine.of_fit import machine_of, measured_factor
 from calib.machine.tool_uncertainty import (
     common_errors,
-    outside_identified,
     tool_motions,
     tool_uncertainty,
     uncertainty_map,

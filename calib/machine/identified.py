@@ -1,0 +1,90 @@
+"""The identified range of a machine: of its readings, and of what its terms follow beside them.
+
+A model is only proven where it was measured.
+"""
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from calib.foundations.arguments import checked
+from calib.foundations.arrays import Array
+from calib.foundations.errors import MeasurementError
+from calib.foundations.units import DISPLAY_OF
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.turns import turned_towards
+from calib.measurement.measurements import End
+from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.robot import Robot
+from calib.robot.terms import kind_of
+from calib.robot.terms.kind import TEMPERATURE
+
+# A value is outside if it is beyond the outermost of the data by more than this share of their range.
+_SLACK = 0.05
+# The units in which conditions are told; the same ones are kept.
+_UNITS = {"temperature": "degC", "payload": "kg"}
+
+
+def condition_ranges(robot: Robot, ends: Iterable[End]) -> dict[str, tuple[float, float]]:
+    """Return the least and the greatest of what the terms of a robot follow: temperature in degC, payload in kg.
+
+    Of ends of rows under the loads of their set-ups (:meth:`calib.measuring.Measurements.loaded`).
+    """
+    found: dict[str, tuple[float, float]] = {}
+    for end in ends:
+        for name, values in _followed(robot, end.conditions, len(end.readings)):
+            low, high = found.get(name, (np.inf, -np.inf))
+            found[name] = min(low, float(values.min())), max(high, float(values.max()))
+    return found
+
+
+def _followed(robot: Robot, conditions: Conditions, rows: int) -> Iterator[tuple[str, Array]]:
+    """Yield what terms of a robot follow beside its readings, by name, and its values (rows,) where they are told."""
+    kinds = [kind_of(term) for term in robot.terms]
+    warms = any(need.column == TEMPERATURE.column for kind in kinds for need in kind.needs)
+    if warms and rows and conditions.temperature is not None:
+        yield "temperature", conditions.temperature
+    if rows and any(kind.masses == "stated" for kind in kinds):
+        own = robot.moments(robot.load.payload)[:, 3].sum()
+        told = np.full(rows, own) if conditions.payload is None else conditions.payload[:, :, 3].sum(axis=1)
+        yield "payload", np.where(np.isnan(told), own, told)
+
+
+@checked
+def outside_identified(
+    machine: CalibratedMachine, readings: Array, conditions: Conditions = NO_CONDITIONS
+) -> tuple[str, ...]:
+    """Return, for every joint whose readings (N, nr) leave the range it was identified in, one sentence.
+
+    And one for a temperature, and for a payload, of ``conditions`` or of the set-up, that the machine's terms follow. A
+    value leaves the range if it is beyond the outermost one by more than a twentieth of the range; whole turns do not
+    count where they bring back all that follows the reading. A model is only proven where it was measured: outside, the
+    stated sigmas hold only if the model is right. Raises MeasurementError for readings of another shape.
+    """
+    found, width = np.asarray(readings, dtype=np.float64), len(machine.robot.readings)
+    if found.ndim != 2 or found.shape[1] != width or not len(found) or not np.isfinite(found).all():
+        raise MeasurementError(f"readings of shape {found.shape}: needs finite numbers (N, {width}), one row or more.")
+    said: list[str] = []
+    known = machine.known_uncertainty
+    for j, (reading, (low, high)) in enumerate(zip(machine.robot.readings, known.identified, strict=True)):
+        values = turned_towards(found[:, j], low, high, reading.turns)
+        factor, unit = DISPLAY_OF[reading.dimension]
+        said += _outside(reading.name, values * factor, (low * factor, high * factor), unit)
+    for name, values in _followed(machine.robot, conditions, len(found)):
+        if name in known.conditions:
+            said += _outside(f"The {name}", values, known.conditions[name], _UNITS[name])
+    return tuple(said)
+
+
+def _outside(name: str, values: Array, ends: tuple[float, float], unit: str) -> Iterator[str]:
+    low, high = ends
+    slack = _SLACK * (high - low)
+    beyond = np.maximum(low - slack - values, values - high - slack)
+    if not np.any(beyond > 0.0):
+        return
+    worst = int(np.argmax(beyond))
+    span = f"{low:.4g} to {high:.4g}" if high > low else f"{low:.4g}"
+    yield (
+        f"{name} is outside the range it was identified in, {span} {unit}, in {np.count_nonzero(beyond > 0.0)} of "
+        f"{len(values)} rows; the farthest is {values[worst]:.4g} {unit}."
+    )
