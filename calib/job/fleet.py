@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
@@ -291,16 +291,22 @@ def _ending_in_order() -> Iterator[None]:
         signal.signal(number, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    own = {signal.SIGTERM: (signal.SIG_DFL, told), signal.SIGINT: (signal.default_int_handler, pressed)}
-    in_main_thread = threading.current_thread() is threading.main_thread()
-    heard = {number: both for number, both in own.items() if in_main_thread and signal.getsignal(number) == both[0]}
-    for number, (_, ours) in heard.items():
-        signal.signal(number, ours)
+    ends = _heard(signal.SIGTERM, signal.SIG_DFL, told)
+    with ends, _heard(signal.SIGINT, signal.default_int_handler, pressed):
+        yield
+
+
+@contextmanager
+def _heard(number: int, usual: Any, ours: Callable[[int, FrameType | None], NoReturn]) -> Iterator[None]:
+    """Handle a signal by ``ours`` while the block runs, where it is handled as usual: what others have set stays."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(number) != usual:
+        yield
+        return
+    signal.signal(number, ours)
     try:
         yield
     finally:
-        for number, (usual, _) in heard.items():
-            signal.signal(number, usual)
+        signal.signal(number, usual)
 
 
 @contextmanager
