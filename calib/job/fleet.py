@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
@@ -280,20 +280,33 @@ def _ending_in_order() -> Iterator[None]:
     """Let SIGTERM end the block as Ctrl-C does, so that it ends its processes and takes back what they shared.
 
     Else the helper of joblib, which lives longer, tells of all that was left. The exit code is the one of the signal.
+    Ctrl-C is heard once: pressed again, it would leave workers that live and have no more what they share, and say so.
     """
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
-        yield
-        return
 
     def told(number: int, _: FrameType | None) -> NoReturn:
         signal.signal(number, signal.SIG_DFL)  # who asks twice does not wait
         raise SystemExit(_BY_SIGNAL + number)
 
-    signal.signal(signal.SIGTERM, told)
+    def pressed(number: int, _: FrameType | None) -> NoReturn:
+        signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    ends = _heard(signal.SIGTERM, signal.SIG_DFL, told)
+    with ends, _heard(signal.SIGINT, signal.default_int_handler, pressed):
+        yield
+
+
+@contextmanager
+def _heard(number: int, usual: Any, ours: Callable[[int, FrameType | None], NoReturn]) -> Iterator[None]:
+    """Handle a signal by ``ours`` while the block runs, where it is handled as usual: what others have set stays."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(number) != usual:
+        yield
+        return
+    signal.signal(number, ours)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.signal(number, usual)
 
 
 @contextmanager
@@ -440,8 +453,8 @@ def _born_deaf() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         if heeds:
             signal.signal(signal.SIGINT, handler)
-    if pressed and handler is not signal.SIG_IGN:
-        raise KeyboardInterrupt
+    if pressed:
+        signal.raise_signal(signal.SIGINT)
 
 
 def _serve(parent: int) -> None:
@@ -462,6 +475,8 @@ def _serve(parent: int) -> None:
 
 
 def _end_workers() -> None:
-    from joblib.externals.loky import get_reusable_executor  # noqa: PLC0415 - calib must not load it on import
+    from joblib.externals.loky import reusable_executor  # noqa: PLC0415 - calib must not load it on import
 
-    get_reusable_executor(reuse=True).shutdown(kill_workers=True)
+    # Whoever asks for it by its function is given a new one, with semaphores, where it has ended or never begun.
+    if (executor := reusable_executor._executor) is not None:
+        executor.shutdown(kill_workers=True)

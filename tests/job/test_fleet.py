@@ -356,6 +356,36 @@ def test_ctrl_c_before_a_task_is_taken_leaves_one_sentence(folder: Path) -> None
     assert (running.wait(), *running.communicate()) == (130, "", said)
 
 
+def test_ctrl_c_pressed_again_leaves_one_sentence(folder: Path) -> None:
+    """While workers are ended: they would have found no more what they share, and said so on standard output."""
+    (folder / "jobs/other.toml").write_bytes((folder / "jobs/plain.toml").read_bytes())
+    again = (
+        "import os, time; from joblib.externals.loky.process_executor import _ExecutorManagerThread as T; "
+        "ended = T.kill_workers; "
+        "T.kill_workers = lambda self, **why: "
+        "([(os.kill(os.getpid(), signal.SIGINT), time.sleep(0.3)) for _ in range(3)], ended(self, **why))"
+    )
+    listening = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {again}; {MAIN}"
+    command = [sys.executable, "-W", "error", "-c", listening, "fleet", *jobs("plain.toml", "other.toml"), "-j", "2"]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0)
+    parent = psutil.Process(running.pid)
+    while running.poll() is None and len(parent.children()) < 4:
+        time.sleep(0.001)
+    os.killpg(running.pid, signal.SIGINT)
+    said = "Error: interrupted; what is finished is kept, and the same command goes on with the rest.\n"
+    assert (running.wait(), *running.communicate()) == (130, "", said)
+
+
+def test_ending_without_workers_makes_none() -> None:
+    """Also of an executor that was ended before: a new one would have semaphores, and a process that minds them."""
+    from joblib.externals.loky import reusable_executor
+
+    before = reusable_executor._executor
+    fleets._end_workers()
+    fleets._end_workers()
+    assert reusable_executor._executor is before
+
+
 # A cluster. -------------------------------------------------------------------------------------------------------
 
 
