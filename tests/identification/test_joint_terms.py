@@ -190,5 +190,10 @@ def test_a_prior_of_compliance_has_the_unit_of_its_joint() -> None:
 def test_what_slides_has_no_harmonics() -> None:
     robot = machines.load(machines.INLINE["gantry"], "tip")
     with pytest.raises(JobError, match="harmonics: 'bridge' slides, and harmonics are of angles"):
-        machines.model(robot, harmonics="all")
+        machines.model(robot, harmonics=["bridge"])
+    turning = [r.name for r in robot.readings if r.dimension == "angle"]
+    assert {term.reading for term in machines.model(robot, harmonics="all").robot.terms} == set(turning) != set()
+    slides = machines.load(machines.urdf(("one", "prismatic", "0 0 0", "0 0 0", "1 0 0")), "tip")
+    with pytest.raises(JobError, match="harmonics: 'one' slides, and harmonics are of angles"):
+        machines.model(slides, harmonics="all")
     assert with_terms(calib.error_model(robot), [JointTerm("bridge", "gain")]).terms == ("bridge.gain",)

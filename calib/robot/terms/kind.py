@@ -222,11 +222,15 @@ class Kind(ABC):
         return tuple(term for name in names for term in self.terms(parts, name, options))
 
     def select(self, selection: object, parts: Parts) -> list[str]:
-        """Return the chosen readings. Raises JobError for a name that matches nothing, or of which there is no term."""
+        """Return the chosen readings: "all" are those that can have a term.
+
+        Raises JobError for a name that matches nothing, and where there is no term of a named reading, or of any.
+        """
         names = select(selection, list(parts.readings), self.key, *self.words)
-        if why := next((why for name in names if (why := self.refusal(parts, name))), None):
-            raise JobError(f"{self.key}: {why}")
-        return names
+        refused = {name: why for name in names if (why := self.refusal(parts, name))}
+        if refused and (selection != "all" or len(refused) == len(names)):
+            raise JobError(f"{self.key}: {next(iter(refused.values()))}")
+        return [name for name in names if name not in refused]
 
     def offered(
         self, parts: Parts, told: Conditions, options: Mapping[str, object]
