@@ -29,6 +29,8 @@ _LEAST_BLOCKS = 8
 _FORGOTTEN = 0.1
 # Directions of whose square the parameters leave less than this share are theirs.
 _TAKEN = 1e-7
+# Widths of weak priors of the robot's parameters by which no change of anything else changes them.
+_FARTHEST = 3.0
 # No motion that is fitted enlarges the whitened sum of squares; priors let it grow by less than this.
 _GROWN = 1.0
 _MOST_SPLITS = 60
@@ -245,12 +247,20 @@ class Score(NamedTuple):
     sizes: Array
 
 
-def score_test(A: Array, S: Array, g: Array, C: Array) -> Score:
-    """Return the score test of directions D: of A = D^T D (..., k, k), S = D^T J (..., k, p) and g = D^T r (..., k)."""
+def score_test(A: Array, S: Array, g: Array, C: Array, widths: Array | None = None) -> Score:
+    """Return the score test of directions D: of A = D^T D (..., k, k), S = D^T J (..., k, p) and g = D^T r (..., k).
+
+    ``widths`` (m,): how far the first m parameters may be from what was found, as far as is known before anything is
+    measured. Directions by which they would go farther are none: what only a shrunk machine explains is noise.
+    """
     values, V = np.linalg.eigh(A - S @ C @ np.swapaxes(S, -1, -2))
     kept = values > _TAKEN * np.trace(A, axis1=-2, axis2=-1)[..., None] / A.shape[-1]
     u = np.einsum("...ij,...i->...j", V, g)
     weighed = np.where(kept, u / np.where(kept, values, 1.0), 0.0)
+    if widths is not None:
+        followed = C[: len(widths)] @ np.swapaxes(S, -1, -2) @ V * weighed[..., None, :]
+        kept &= np.all(np.abs(followed) < _FARTHEST * widths[:, None], axis=-2)
+        weighed = np.where(kept, weighed, 0.0)
     return Score(
         np.sum(u * weighed, axis=-1), np.count_nonzero(kept, axis=-1), -np.einsum("...ij,...j->...i", V, weighed)
     )
@@ -260,7 +270,7 @@ def _score_of(D: Array, part: Stretch, C: Array) -> tuple[Score, Array]:
     """Return the score test of directions D (n d, k) of a part alone, and what they change in it (n, d)."""
     J = part.J.reshape(part.r.size, -1)
     S = D.T @ J
-    score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C)
+    score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C, part.widths)
     return score, ((D - J @ (C @ S.T)) @ score.sizes).reshape(part.r.shape)
 
 
@@ -468,7 +478,7 @@ def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step 
     J = part.J.reshape(n * d, -1)
     turned = np.swapaxes(Z, 1, 2)
     S, g, A = (np.cumsum(turned @ of, axis=0)[places - 1] for of in (part.J, part.r[:, :, None], Z))
-    scores = score_test(A, S, g[:, :, 0], C)
+    scores = score_test(A, S, g[:, :, 0], C, part.widths)
     best = int(np.argmax(scores.gain))
     score, place = Score(*(of[best] for of in scores)), int(places[best])
     if score.gain <= 0.0:

@@ -27,7 +27,8 @@ class Stretch:
     """Rows of one set in their order, whitened: ``r`` (n, d), ``J`` (n, d, k); how they follow what is no parameter.
 
     Of photographs that err together all is less what rows have in common: an arm that does not come back is no other.
-    ``columns`` (k,): the fit's parameters by which J is, by number.
+    ``columns`` (k,): the fit's parameters by which J is, by number; ``widths`` (k,): of their weak priors, in scales,
+    where they are the robot's, else infinite.
     ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
     motion of the base and of the tool, in m and rad; ``by_growth`` (n, d): all lengths longer by their whole, of
     positions alone. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
@@ -42,6 +43,7 @@ class Stretch:
     r: Array
     J: Array
     columns: IntArray
+    widths: Array
     joints: tuple[str, ...]
     by_joint: Array
     by_base: Array
@@ -83,6 +85,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
     of_follower, followed = [k for k, _ in ties], [i for _, i in ties]
     units = np.ones(len(parameters))
     judged = tuple(fit.parameters[k] for k in residue.judged)
+    widths = np.array([p.weak_prior / p.scale if p.of_robot else np.inf for p in judged])
     found = []
     for i, data in enumerate(fit.measurements):
         rows = _chosen(data, residue)
@@ -109,6 +112,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 r,
                 J,
                 residue.judged,
+                widths,
                 tuple(names[k] for k in own),
                 by_offset[:, :, own],
                 by_base,

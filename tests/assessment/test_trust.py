@@ -27,11 +27,13 @@ from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.stretches import pose_by_pose, stretches
 from calib.assessment.trust import remarks
 from calib.identification.identify import with_values
+from calib.identification.targets import Target
 from calib.machine.of_fit import machine_of
 from calib.measurement.boards import Board
 from calib.measurement.checks import Finding
+from calib.robot.deviation import axis_frame
 from tests.support import cameras, machines
-from tests.support.touching import between, lab
+from tests.support.touching import NORMALS, between, lab
 
 Array = np.ndarray
 UR5 = ("example:ur_description/urdf/ur5_robot.urdf", "tool0")
@@ -750,3 +752,21 @@ def test_photographs_of_an_arm_that_does_not_come_back_are_of_one_machine(seed: 
         assert fit.together[0] is not None
         (check,) = (check for check in calib.assess(fit).checks if check.name == "one machine")
         assert check.passed == (sagged == 0.0), (check, fit.together[0])
+
+
+# ---- what is stated of targets
+
+
+def test_planes_in_known_places_are_no_jump() -> None:
+    """Two parallel planes tell the size of the arm. A machine that is shrunk to a point would leave nothing at all."""
+    made = lab(noise=3e-5)
+    up = np.array(NORMALS["floor"]) / np.linalg.norm(NORMALS["floor"])
+    heights = {"floor": 0.2, "table": 0.3}
+    q = [made.touching(lambda x, h=h: (x @ up - h)[:, None], made.scatter(30, 1), outside=up) for h in heights.values()]
+    data = made.read(np.concatenate(q), "plane", target=np.repeat(list(heights), 30).tolist())
+    known = {name: Target(axis_frame(up) @ machines.pose((0.0, 0.0, h))) for name, h in heights.items()}
+    model = calib.error_model(
+        made.robot, offsets="all", placements="all", base="fixed", known=calib.Known(targets=known)
+    )
+    found = calib.assess(calib.identify(model, data))
+    assert failed(found) == set()
