@@ -241,7 +241,7 @@ def _shown(J: Array, names: Sequence[str], new: Sequence[int], direction: NullDi
 def _correlated(fit: Fit) -> list[Advice]:
     seen = fit.correlated
     sigmas = fit.sigmas[seen]
-    correlation = fit.spread.of(seen) / (sigmas[:, None] * sigmas)
+    correlation = fit.told_covariance(seen) / (sigmas[:, None] * sigmas)
     said = []
     for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _CORRELATED, 1)), strict=True):
         a, b = (fit.parameters[seen[k]].name for k in (i, j))

@@ -107,7 +107,7 @@ def _pose_sigmas(fit: Fit, name: str, pose: Array, *, on_tip: bool) -> Array:
     if not on_tip and any(p.kind == "base" for p in fit.parameters):
         return np.full(6, np.nan)
     covariance, (at, of) = np.zeros((6, 6)), np.transpose(found)
-    covariance[np.ix_(at, at)] = fit.covariance[np.ix_(of, of)]
+    covariance[np.ix_(at, at)] = fit.told_covariance(of)
     unknown = at[fit.unidentifiable[of]]
     covariance[unknown, unknown] = np.nan
     if not on_tip:  # a target's are along its own axes

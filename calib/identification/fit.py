@@ -11,7 +11,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.showing import shower
 from calib.identification.arrow import Covariance
 from calib.identification.error_model import ErrorModel
-from calib.identification.identifiability import NullDirection, Spectrum
+from calib.identification.identifiability import NullDirection, Spectrum, off_by
 from calib.identification.learned import LearnedPrior
 from calib.identification.losses import Loss
 from calib.identification.machine import Machine
@@ -126,7 +126,17 @@ class Fit:
     @property
     def sigmas(self) -> Array:
         """Standard deviations (p,) in SI units; nan for what no data and no prior determine."""
-        return np.where(self.unidentifiable, np.nan, np.sqrt(np.maximum(self.spread.variances, 0.0)))
+        variances = np.maximum(self.spread.variances, 0.0) + np.sum(self.by_null_space**2, axis=1)
+        return np.where(self.unidentifiable, np.nan, np.sqrt(variances))
+
+    @property
+    def by_null_space(self) -> Array:
+        """A factor (p, k), in SI units, of what identifiable parameters may be off by along the null space.
+
+        No direction of it moves them much; but along some, as a tool's height that is not seen, the truth is far.
+        """
+        found = scales(self.parameters)[:, None] * off_by(self.null_basis, self.parameters)
+        return np.where(self.unidentifiable[:, None], 0.0, found)
 
     @property
     def correlated(self) -> IntArray:
@@ -149,8 +159,15 @@ class Fit:
     @property
     def weakly_determined(self) -> BoolArray:
         """Parameters (p,) that are determined, but not better than half their parameter scale."""
-        sigmas = np.sqrt(np.maximum(self.spread.variances, 0.0))
-        return np.asarray(~self.unidentifiable & (sigmas > 0.5 * scales(self.parameters)))
+        return np.asarray(self.sigmas > 0.5 * scales(self.parameters))
+
+    def told_covariance(self, parameters: IntArray) -> Array:
+        """Return the covariance (k, k) of some parameters, by number, as :attr:`sigmas` tell it.
+
+        Of parameters that are not identifiable it is that of the chosen frame.
+        """
+        moved = self.by_null_space[parameters]
+        return np.asarray(self.spread.of(parameters) + moved @ moved.T)
 
     def tools_of(self, data: Measurements) -> Array:
         """Return the poses (N, 4, 4) of the tools of rows in the tip link: the tip's own where one is not known.

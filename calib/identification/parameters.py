@@ -124,6 +124,16 @@ class Parameter:
         return self.typical_size if self.prior is None or self.group is not None else self.prior
 
     @property
+    def width(self) -> float:
+        """How far from the centre of its prior it may be, as a standard deviation: stated, or weak.
+
+        A tool point that poses do not show is held narrowly for the sake of the search alone, and may be as far as
+        tools are.
+        """
+        own = self.weak_prior if self.prior is None else self.prior
+        return own if self.freed is None else max(own, TOOL)
+
+    @property
     def hold(self) -> float:
         """How strongly the prior, stated or weak, holds: 1 over its standard deviation in units of the scale."""
         return self.scale / (self.weak_prior if self.prior is None else self.prior)

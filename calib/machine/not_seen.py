@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.linear import triangle
-from calib.identification.parameters import TOOL, Parameter
+from calib.identification.parameters import Parameter
 from calib.identification.widths import NormalEquations, likeliest_widths, likelihood
 
 # Directions of a group that the data must see, given weak priors, before they may teach a width: else it stays weak.
@@ -30,7 +30,7 @@ def likely_widths(parameters: Sequence[Parameter], J: Array, r: Array, z: Array)
     ``J`` (q, p) and ``r`` (q,): derivatives of what is predicted, and measured less predicted, whitened by the noise,
     at parameters ``z`` (p,), in scales from nominal.
     """
-    held = np.array([_expected(parameter) / parameter.scale for parameter in parameters])
+    held = np.array([parameter.width / parameter.scale for parameter in parameters])
     group = _groups(parameters)
     while np.any(group >= 0):
         rows = _equations(J, r, z, held, group)
@@ -44,12 +44,6 @@ def likely_widths(parameters: Sequence[Parameter], J: Array, r: Array, z: Array)
         left = np.where(few, -1, np.cumsum(~few) - 1)
         group = np.append(left, -1)[group]
     return held
-
-
-def _expected(parameter: Parameter) -> float:
-    """Return the standard deviation about the prior's centre, in the parameter's unit."""
-    width = parameter.weak_prior if parameter.prior is None else parameter.prior
-    return width if parameter.freed is None else max(width, TOOL)
 
 
 def _groups(parameters: Sequence[Parameter]) -> IntArray:

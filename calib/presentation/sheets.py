@@ -272,6 +272,6 @@ def correlation(fit: "Fit") -> tuple[IntArray, Array]:
     Without targets, where there are very many of them.
     """
     seen = fit.correlated
-    C = fit.spread.of(seen)
+    C = fit.told_covariance(seen)
     sigma = np.sqrt(np.diag(C))
     return seen, np.asarray(C / np.outer(sigma, sigma))

@@ -253,7 +253,7 @@ def result(found: Calibration) -> dict[str, Any]:
         "advice": [advised.sentence for advised in advice(fit)],
         "learned_priors": [asdict(prior) for prior in fit.learned],
         "parameters": fit.records(),
-        "covariance": fit.spread.of(fit.told_together).tolist(),
+        "covariance": fit.told_covariance(fit.told_together).tolist(),
         "singular_values": fit.singular_values.tolist(),
         "noise": [asdict(noise) | {"measurements": files[noise.measurements]} for noise in fit.noise],
         "together": [

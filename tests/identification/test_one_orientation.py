@@ -14,6 +14,7 @@ from tests.support import machines
 from tests.support.machines import Array
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+SCARA = (machines.INLINE["scara"], "tip")
 
 
 def at_one_orientation(
@@ -102,3 +103,46 @@ def test_a_tool_is_freed_where_the_data_clearly_ask_for_another_place(others: in
     miss = machines.predicted(fit, readings[80:])[:, :3, 3] - true.see(readings[80:])[:, :3, 3]
     # Held within 30 mm of the flange, or searched with narrower priors, it is 0.12 mm.
     assert np.sqrt(np.mean(np.sum(miss**2, axis=1))) < 2e-5
+
+
+@pytest.mark.parametrize("height", [-0.15, 0.01, 0.2])
+def test_a_tools_height_that_is_not_seen_is_in_the_sigma_of_what_it_moves(height: float) -> None:
+    """A base that leans by 10 mrad is 2 mm away if the tool is 0.2 m longer; it was told to 20 um for one height."""
+    rng = np.random.default_rng(11)
+    robot, arm = machines.load(*SCARA), machines.arm(*SCARA)
+    zeros = {name: float(rng.normal(scale=3e-3)) for name in arm.ranges}
+    wrong = arm.with_errors(np.zeros((len(arm.joints), 6)), zeros)
+    base, point = machines.pose((1.0, -2.0, 0.5), (8e-3, -6e-3, 0.0)), np.array([0.03, 0.02, 0.05])
+    true = machines.Machine(wrong, base, {"tool": machines.pose(point)})
+    data = true.measure(robot, arm.draw(rng, 60), rng=rng, sigma=3e-5)
+    stated = {"tool": point + [0.0, 0.0, height]}
+    fit = calib.identify(calib.error_model(robot, offsets="all", known=calib.Known(tools=stated)), data)
+    off = {f"base.{axis}": fit.value(f"base.{axis}") - base[k, 3] for k, axis in enumerate("xyz")}
+    told = {p.name: sigma for p, sigma in zip(fit.parameters, fit.sigmas, strict=True)}
+    assert np.isnan(told["base.z"])
+    for name in ("base.x", "base.y"):
+        assert abs(off[name]) == pytest.approx(abs(height) * {"base.x": 6e-3, "base.y": 8e-3}[name], abs=1e-4)
+        assert abs(off[name]) < 2.0 * told[name]
+        # No farther than tools are: 0.3 m.
+        assert told[name] == pytest.approx(0.3 * {"base.x": 6e-3, "base.y": 8e-3}[name], rel=0.1)
+    known = np.flatnonzero(~fit.unidentifiable)
+    np.testing.assert_allclose(np.sqrt(np.diag(fit.told_covariance(known))), fit.sigmas[known], rtol=1e-12)
+    # What no height moves is told as before.
+    turn = [p.name for p in fit.parameters].index("base.rx")
+    assert fit.sigmas[turn] == pytest.approx(np.sqrt(fit.spread.variances[turn]), rel=0.01)
+
+
+def test_a_turn_of_the_flange_that_is_not_seen_is_in_the_sigma_of_a_tool_near_its_axis() -> None:
+    """The zero of the last joint, off by 10 mrad, takes a point 5 mm from the x axis 0.05 mm along it."""
+    rng = np.random.default_rng(12)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    wrong = arm.with_errors(np.zeros((len(arm.joints), 6)), {"wrist_3_joint": 0.01})
+    true = machines.Machine(wrong, machines.anywhere(rng), {"tool": machines.pose((0.1, 5e-3, 0.1))})
+    data = true.measure(robot, arm.draw(rng, 60), rng=rng, sigma=1e-5)
+    fit = calib.identify(calib.error_model(robot, offsets="all"), data)
+    told = {p.name: sigma for p, sigma in zip(fit.parameters, fit.sigmas, strict=True)}
+    assert np.isnan(told["tool.y"])
+    off = fit.value("tool.x") - 0.1
+    assert abs(off) == pytest.approx(5e-5, rel=0.2)
+    # The weak prior of an offset is 0.1 rad; noise alone is 2 um.
+    assert abs(off) < told["tool.x"] == pytest.approx(0.1 * abs(fit.value("tool.y")), rel=0.05)
