@@ -27,7 +27,7 @@ from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.checks import Finding
 
-_COMPLIANCE = ".elastic"
+_COMPLIANCE, _BACKLASH = ".elastic", ".backlash"
 # The model's part of a table's noise, over all noise of the others and over what its own instrument has.
 _UNLIKE = 3.0
 # Standard deviations of a stated prior by which what is found may be off. A scale is that of a board's print, which is
@@ -117,12 +117,7 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
                 )
             )
     found += _unlike(fit)
-    rising = [
-        parameter.name.removesuffix(_COMPLIANCE)
-        for parameter, value, sigma in zip(fit.parameters, fit.values, fit.sigmas, strict=True)
-        if parameter.name.endswith(_COMPLIANCE) and value < -of_rows.SURE * sigma
-    ]
-    if rising:
+    if rising := _surely(fit, _COMPLIANCE, -1.0):
         found.append(
             Finding(
                 "warning",
@@ -130,6 +125,15 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
                 f"Compliances are below zero by more than {of_rows.SURE:g} standard deviations, of "
                 f"{listed(rising)}: no drive rises under weight. Check the direction of gravity, the "
                 "payload and the masses of the URDF; other payloads and set-ups are not to be predicted with them.",
+            )
+        )
+    if (ahead := _surely(fit, _BACKLASH, 1.0)) and not _surely(fit, _BACKLASH, -1.0):
+        found.append(
+            Finding(
+                "warning",
+                "backlash-above-zero",
+                f"Backlash is above zero by more than {of_rows.SURE:g} standard deviations, of {listed(ahead)}: joints "
+                "with a gap stay behind their readings. Check that the side of approach is + where a reading grew.",
             )
         )
     if not fit.converged or fit.narrowed == 1.0:
@@ -145,6 +149,15 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
             "orientations of the tool, or priors for known values make this unnecessary.",
         ),
     )
+
+
+def _surely(fit: Fit, kind: str, sign: float) -> list[str]:
+    """Return the readings of which a term of this kind is surely below zero, or above."""
+    return [
+        parameter.name.removesuffix(kind)
+        for parameter, value, sigma in zip(fit.parameters, fit.values, fit.sigmas, strict=True)
+        if parameter.name.endswith(kind) and sign * value > of_rows.SURE * sigma
+    ]
 
 
 def _unlike(fit: Fit) -> list[Finding]:

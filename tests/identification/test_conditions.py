@@ -10,6 +10,7 @@ import pytest
 
 import calib
 from calib.assessment.choice import candidates, choose_terms
+from calib.assessment.trust import remarks
 from calib.compensation import targets
 from calib.compensation.commands import for_joint_targets
 from calib.foundations.errors import JobError, MeasurementError, RobotError
@@ -81,6 +82,15 @@ def test_both_are_found_within_their_intervals() -> None:
         assert (units[f"{lab.joints[0]}.backlash"], units[f"{lab.joints[0]}.thermal"]) == ("rad", "rad/K")
     assert total == 48
     assert 43 <= inside <= 48
+
+
+@pytest.mark.parametrize(("sign", "said"), [(1.0, ["backlash-above-zero"]), (-1.0, [])])
+def test_gaps_by_which_joints_are_ahead_of_their_readings_are_told(sign: float, said: list[str]) -> None:
+    """Sides that are told the wrong way round explain the same rows."""
+    lab = Lab(18)
+    lab.gaps = sign * lab.gaps
+    found = remarks(calib.identify(lab.model(), calib.read_measurements(lab.columns(), lab.robot, sigma=SIGMA)))
+    assert [finding.code for finding in found] == said
 
 
 def test_without_noise_unseen_tips_are_exact_whatever_the_conditions() -> None:
