@@ -7,10 +7,13 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from types import FrameType
 
 INTERRUPTED = 130
+# How long a command that was told to end may take to tidy up, in s; then Ctrl-C ends it at once.
+_PATIENCE = 5.0
 
 
 def main() -> None:
@@ -24,7 +27,8 @@ def main() -> None:
             raise
         sys.stderr.write(f"Error: {e}\n")
         sys.exit(1)
-    run()
+    with _heeded_once():
+        run()
 
 
 def _prepare() -> None:
@@ -62,15 +66,60 @@ def loading() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _ended_at_once() -> Iterator[None]:
-    in_main_thread = threading.current_thread() is threading.main_thread()
-    if not (in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler):
+    before = _handler()
+    if before not in (signal.default_int_handler, _press):
         yield
         return
     signal.signal(signal.SIGINT, _leave)
     try:
         yield
     finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def _heeded_once() -> Iterator[None]:
+    """Let Ctrl-C end the block, but not what it then does to end: that would be half done, and told by a traceback.
+
+    After the block it changes nothing: all is done, and Python's own end would show where it was met.
+    """
+    if _handler() is not signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, _press)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def heeded_by_asyncio() -> Iterator[None]:
+    """Let asyncio, which cancels its main task then, handle Ctrl-C in the block: it does so where nobody else does."""
+    ours = _handler() is _press
+    if ours:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, _press)
+
+
+def _handler() -> object:
+    """Return what handles Ctrl-C, where this thread may change that; else nothing."""
+    return signal.getsignal(signal.SIGINT) if threading.current_thread() is threading.main_thread() else None
+
+
+def _press(_number: int, _frame: FrameType | None) -> None:
+    pressed = time.monotonic()
+
+    def again(number: int, frame: FrameType | None) -> None:
+        if time.monotonic() > pressed + _PATIENCE:
+            _leave(number, frame)
+
+    signal.signal(signal.SIGINT, again)
+    raise KeyboardInterrupt
 
 
 def _open_streams() -> None:
@@ -94,6 +143,7 @@ def _on_windows() -> bool:
 
 def _leave(_number: int, _frame: FrameType | None) -> None:
     """End at once: an exception would come out of the middle of some library, which may catch it or show it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is told once
     with contextlib.suppress(OSError):  # nobody may be listening any more
         os.write(2, b"Error: interrupted.\n")
     os._exit(INTERRUPTED)

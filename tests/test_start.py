@@ -59,6 +59,43 @@ def test_interrupted_while_it_works(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
+def test_interrupted_before_its_options_are_known() -> None:
+    at_first = (
+        "import os, typer.main\n"
+        "made = typer.main.get_command\n"
+        "typer.main.get_command = lambda app: (os.kill(os.getpid(), signal.SIGINT), made(app))[1]\n"
+    )
+    assert start(TERMINAL + at_first + MAIN, "check", "nothing.toml") == (130, "", "Error: interrupted.\n")
+
+
+def test_pressed_again_while_it_ends(tmp_path: Path) -> None:
+    """While the sentence is told, for which more is loaded."""
+    job = copy_case(tmp_path)
+    again = AT_IMPORT.format(module="rich.console")
+    code = TERMINAL + AT_OPEN.format(name="identification.csv") + again + MAIN
+    assert start(code, "check", str(job), "-q") == (130, "", "Error: interrupted.\n")
+
+
+def test_pressed_again_much_later_ends_it_at_once(tmp_path: Path) -> None:
+    stuck = (
+        "import calib.cli, os, time\ncalib.cli._say = lambda _: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60))\n"
+    )
+    later = "import calib_start\ncalib_start._PATIENCE = -1.0\n"
+    code = TERMINAL + stuck + later + AT_OPEN.format(name=JOB) + MAIN
+    assert start(code, "check", str(copy_case(tmp_path))) == (130, "", "Error: interrupted.\n")
+
+
+def test_pressed_when_all_is_done_changes_nothing() -> None:
+    at_last = (
+        "import os, threading\n"
+        "last = threading._shutdown\n"
+        "threading._shutdown = lambda: (os.kill(os.getpid(), signal.SIGINT), last())\n"
+    )
+    code, out, err = start(TERMINAL + at_last + MAIN, "--version")
+    assert (code, err) == (0, "")
+    assert out == f"{calib.__version__}\n"
+
+
 def test_where_interrupts_are_ignored_they_stay_so(tmp_path: Path) -> None:
     ignoring = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
     for trap in (AT_IMPORT.format(module="numpy"), AT_OPEN.format(name=JOB)):

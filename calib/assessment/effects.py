@@ -17,10 +17,11 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from calib.assessment.stretches import Stretch
+from calib.assessment.stretches import Stretch, as_means
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.chance import autocorrelations, exceeded
 from calib.measurement.checks import resolutions
+from calib.measurement.measurements import numbered
 from calib.robot.robot import Robot
 
 # Fewer blocks than these give no standard error.
@@ -38,6 +39,8 @@ _MOST_SPLITS = 60
 _GAP = 2.5
 # Rows on either side of a jump.
 _LEAST_ROWS = 3
+# Kinds whose targets are measured from anywhere.
+_FROM_ANYWHERE = ("distance", "indicator")
 # What drifts where an arm warms up.
 LENGTHS = "length of the arm"
 _Found = TypeVar("_Found")
@@ -446,28 +449,49 @@ def apart(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     found: list[Step] = []
     for what in ("base", "tool") if len(parts) > 1 else ():
         motions = [part.by_base if what == "base" else part.by_tool for part in parts]
-        found += _apart(what, motions, *_besides(parts, motions, C))
+        within, own = _besides(parts, motions, C)
+        found += [
+            _apart(what, part, Z, np.arange(len(part.r)), within, own, 2 * len(parts))
+            for part, Z in zip(within, motions, strict=True)
+        ]
     return tuple(sorted(found, key=lambda step: (-step.size, step.what)))
 
 
-def _apart(what: str, motions: Sequence[Array], parts: Sequence[Stretch], C: Array) -> Iterator[Step]:
-    J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts])
-    ends = np.cumsum([0, *(part.r.size for part in parts)])
-    r = np.concatenate([part.r.ravel() for part in parts])
-    for k, (part, Z) in enumerate(zip(parts, motions, strict=True)):
-        rows, n = slice(ends[k], ends[k + 1]), len(part.r)
-        D = Z.reshape(part.r.size, -1)
-        S = D.T @ J[rows]
-        score = score_test(D.T @ D, S, D.T @ r[rows], C)
-        rest = r - J @ (C @ (S.T @ score.sizes))
-        rest[rows] += D @ score.sizes
-        # Judged by what remains in this set: its noise may have been estimated with the change in it.
-        own = rest[rows].reshape(part.r.shape)
-        variance = _scatter(own, part, int(score.numbers))
-        others = sum(len(one.r) for one in parts) - n
-        size = float(np.sqrt(float(score.gain) / variance / (n * others / (n + others))))
-        chance = _chance(score, own, part)
-        yield Step(what, part.data.where, 0, size, min(1.0, 2 * len(parts) * chance))
+def elsewhere(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
+    """Return which target of which set would best be elsewhere, as by a motion of the base for its rows alone.
+
+    What the fit has for a target it is, so this is about what was stated of targets. ``what`` is the target, ``line``
+    is 0; the largest size first. Rows of one pose are one: what the model leaves at a pose is no other place. What an
+    arm touches it touches in one place, where errors of the arm look like those of the place: targets that are measured
+    from anywhere are looked at alone.
+    """
+    poses = [as_means(part, part.pose) for part in parts]
+    motions = [part.by_base for part in poses]
+    within, own = _besides(poses, motions, C)
+    rows_of = [
+        (part, Z, part.data.targets[t], rows)
+        for part, Z in zip(within, motions, strict=True)
+        if part.data.kind in _FROM_ANYWHERE
+        for t, rows in numbered(part.data.target[part.row.astype(np.intp)])
+    ]
+    found = [_apart(name, part, Z, rows, within, own, len(rows_of)) for part, Z, name, rows in rows_of]
+    return tuple(sorted(found, key=lambda step: (-step.size, step.what, step.file)))
+
+
+def _apart(
+    what: str, whole: Stretch, Z: Array, rows: IntArray, parts: Sequence[Stretch], C: Array, things: int
+) -> Step:
+    """Return how surely ``rows`` of a part ask for a motion Z (n, d, k) that the other rows do not have."""
+    r, J = whole.r[rows], whole.J[rows]
+    part = replace(whole, r=r, J=J, used=float(np.sum((J @ C) * J)))
+    score, shift = _score_of(Z[rows].reshape(r.size, -1), part, C)
+    # Judged by what remains in these rows: their noise may have been estimated with the change in it.
+    rest = r + shift
+    variance = _scatter(rest, part, int(score.numbers))
+    n = len(rows)
+    others = sum(len(one.r) for one in parts) - n
+    size = float(np.sqrt(float(score.gain) / variance / (n * others / (n + others)))) if others else 0.0
+    return Step(what, whole.data.where, 0, size, min(1.0, things * _chance(score, rest, part)))
 
 
 def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step | None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.checks.shown_range import shown_range
-from calib.assessment.effects import apart, delay, drifts, gains, ratios, rounding, steps, strains, timing
+from calib.assessment.effects import apart, delay, drifts, elsewhere, gains, ratios, rounding, steps, strains, timing
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.mixed_machines import mixed_machines
@@ -85,7 +85,7 @@ def verdict(
             of_errors.copies(own, held_out),
             of_fit.redundancy(fit),
             *by_row,
-            of_rows.groups(found, apart(poses, C), fit),
+            of_rows.groups(found, apart(poses, C), elsewhere(poses, C), fit),
             of_rows.set_ups(moved),
             of_rows.one_machine(mixed_machines(parts), fit),
             of_rows.outliers(fit, own),

@@ -35,6 +35,9 @@ def main() -> None:
     except CalibError as error:
         _say(str(error))
         sys.exit(BAD_INPUT)
+    except KeyboardInterrupt:  # while typer makes the command of its options
+        _say("interrupted.")
+        sys.exit(INTERRUPTED)
     except (MemoryError, ImportError) as error:
         # A library for which there is no room cannot be loaded.
         if isinstance(error, ImportError) and "failed to map segment" not in str(error):

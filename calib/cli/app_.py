@@ -7,7 +7,7 @@ from typing import Annotated
 from calib.cli.application import PATH, command
 from calib.cli.options import Open, Port, option
 from calib.cli.view import shown_at
-from calib_start import loading
+from calib_start import heeded_by_asyncio, loading
 
 _FOLDER = "A folder that keeps files and results, new, empty or of an earlier page; else they go at Ctrl-C."
 
@@ -25,5 +25,5 @@ def app(
         import asyncio
 
         from calib.app.server import serve
-    with contextlib.suppress(KeyboardInterrupt):  # how this ends well
+    with contextlib.suppress(KeyboardInterrupt), heeded_by_asyncio():  # how this ends well
         asyncio.run(serve(folder, port, shown_at("The page", open_=open_)))

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from calib.cli.application import PATH, command
 from calib.cli.options import Open, Port, ResultFolder
-from calib_start import loading
+from calib_start import heeded_by_asyncio, loading
 
 
 @command("view", PATH, "calib view out/")
@@ -22,7 +22,7 @@ def view(results: ResultFolder, port: Port = 0, open_: Open = False) -> None:
 
     serving = serve(results, SCENE_FILE, (REPORT_FILE,), port, shown_at(f"The scene of {results}", open_=open_))
     # Ctrl-C is how this ends well.
-    with contextlib.suppress(KeyboardInterrupt):
+    with contextlib.suppress(KeyboardInterrupt), heeded_by_asyncio():
         asyncio.run(serving())
 
 

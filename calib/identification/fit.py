@@ -11,12 +11,13 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.showing import shower
 from calib.identification.arrow import Covariance
 from calib.identification.error_model import ErrorModel
-from calib.identification.identifiability import NullDirection, Spectrum, off_by
+from calib.identification.identifiability import NullDirection, Spectrum
 from calib.identification.learned import LearnedPrior
 from calib.identification.losses import Loss
 from calib.identification.machine import Machine
 from calib.identification.memory import Memory
 from calib.identification.noise import Noise
+from calib.identification.not_seen import AlongNullSpace
 from calib.identification.parameters import Parameter, scales
 from calib.identification.repeats import Repeats
 from calib.identification.together import Together, variances_of
@@ -40,7 +41,8 @@ class Fit:
     ``numerical_rank``: of those, the ones known to ten parameter scales or better. ``spectrum``: its
     :attr:`singular_values`; ``null_space``: what lies beyond the numerical rank. ``held``: parameters that policy
     "minimal" kept at their nominal values. ``null_basis`` (p, k): a basis of the null space of these other parameters,
-    orthonormal in their scales, with the targets that follow, priors counted as data.
+    orthonormal in their scales, with the targets that follow, priors counted as data. ``along_null_space``: how far the
+    truth may be from the values along it.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
     ``noise``: of one row; where rows of a pose err together, poses are counted. ``noise_by_rows``: by which rows were
@@ -67,6 +69,7 @@ class Fit:
     null_space: tuple[NullDirection, ...]
     unidentifiable: BoolArray
     null_basis: Array
+    along_null_space: AlongNullSpace
     policy: NullSpacePolicy
     held: tuple[Parameter, ...]
     noise: tuple[Noise, ...]
@@ -135,8 +138,7 @@ class Fit:
 
         No direction of it moves them much; but along some, as a tool's height that is not seen, the truth is far.
         """
-        found = scales(self.parameters)[:, None] * off_by(self.null_basis, self.parameters)
-        return np.where(self.unidentifiable[:, None], 0.0, found)
+        return np.where(self.unidentifiable[:, None], 0.0, self.along_null_space.factor)
 
     @property
     def correlated(self) -> IntArray:

@@ -117,18 +117,6 @@ def inner_constraints(null_basis: Array, parameters: Sequence[Parameter]) -> Arr
     return np.concatenate([first, rest])
 
 
-def off_by(null_basis: Array, parameters: Sequence[Parameter]) -> Array:
-    """Return a factor (p, k) of the covariance, scaled, of what is not known along ``null_basis`` (p, k).
-
-    The truth is anywhere there, as far from the values taken as the parameters' priors let it be. A tool's height that
-    may be wrong by decimetres and moves another parameter by thousandths of that moves it by far more than noise does.
-    """
-    hold = np.array([parameter.scale / parameter.width for parameter in parameters])
-    _, s, Wt = svd(hold[:, None] * null_basis, full_matrices=False)
-    held = s > _SINGULAR * s.max(initial=0.0)
-    return np.asarray(null_basis @ (Wt[held].T / s[held]))
-
-
 def unidentifiable(null_basis: Array) -> BoolArray:
     """Return which parameters (p,) some direction of the null space moves: no single value of theirs is known."""
     return np.asarray(np.linalg.norm(null_basis, axis=1) > MOVED)

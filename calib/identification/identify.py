@@ -25,6 +25,7 @@ from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.memory import with_memory
 from calib.identification.noise import Noise, noise_of
+from calib.identification.not_seen import AlongNullSpace
 from calib.identification.parameters import Parameter, scales
 from calib.identification.repeats import Repeats
 from calib.identification.rows import photograph_numbers
@@ -193,6 +194,7 @@ def _identify(
         null_space=directions,
         unidentifiable=read_only_view(found.unidentifiable),
         null_basis=read_only(found.null_basis),
+        along_null_space=AlongNullSpace(found.null_basis, found.spectrum.rows, problem.parameters, found.x),
         policy=null_space,
         held=held,
         noise=_by_poses(problem, noise, repeats),
@@ -498,6 +500,7 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
         spectrum=found.spectrum,
         unidentifiable=read_only_view(found.unidentifiable),
         null_basis=read_only(found.null_basis),
+        along_null_space=AlongNullSpace(found.null_basis, found.spectrum.rows, fit.parameters, found.x),
         noise=_by_poses(problem, noise, repeats),
         noise_by_rows=noise,
         machine=machine,

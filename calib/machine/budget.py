@@ -32,12 +32,12 @@ from calib.identification.elimination import split_of
 from calib.identification.fit import Fit
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.machine import Layout, Machine, values_at
+from calib.identification.not_seen import likely_widths
 from calib.identification.parameters import Parameter, scales
 from calib.identification.repeats import Repeats, by_pose
 from calib.identification.set_up_motions import without
 from calib.identification.system import Evaluation, Problem, evaluate
 from calib.identification.widths import NormalEquations, likelihood, searched
-from calib.machine.not_seen import likely_widths
 from calib.machine.systematic import Systematic, usual_waves
 from calib.machine.uncertainty import LeftOut, Waves, WindUp
 from calib.machine.winding import ReadingErrors, usual_wind_up

@@ -1,5 +1,6 @@
 """A calibration that should not be used says so, and why."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -755,6 +756,27 @@ def test_photographs_of_an_arm_that_does_not_come_back_are_of_one_machine(seed: 
 
 
 # ---- what is stated of targets
+
+
+def lengths_from_anchors(stated: Mapping[str, tuple[float, float, float]], *, rows: int = 75) -> calib.Calibration:
+    """What is said of lengths from three anchors, in places that are stated."""
+    made = lab(noise=3e-5)
+    anchors = {"a": (1.3, 0.2, 0.1), "b": (-0.4, 1.2, -0.1), "c": (0.2, -1.1, 0.9)}
+    q, names = made.draw(rows), np.resize(list(anchors), rows).tolist()
+    lengths = np.linalg.norm(made.where(q) - [anchors[name] for name in names], axis=1) + made.scatter(rows)
+    data = made.read(q, "distance", length_m=lengths, target=names)
+    known = calib.Known(targets={name: Target(machines.pose(place)) for name, place in (anchors | stated).items()})
+    model = calib.error_model(made.robot, offsets="all", placements="all", base="fixed", known=known)
+    return calib.assess(calib.identify(model, data))
+
+
+def test_an_anchor_that_is_not_where_it_is_stated_is_named() -> None:
+    """The lengths to it make another machine, and no other check said so."""
+    assert lengths_from_anchors({}).trusted
+    found = lengths_from_anchors({"b": (-0.397, 1.2, -0.1)})
+    assert failed(found) == {"groups"}
+    assert "the target 'b' differs from the rest" in found.doubts[0]
+    assert "it fits better with another place" in found.doubts[0]
 
 
 def test_planes_in_known_places_are_no_jump() -> None:

@@ -186,13 +186,20 @@ def resolution(found: Sequence[Rounding], fit: Fit) -> Check:
     return Check.judged("resolution", worst.distance, limit, said, more)
 
 
-def groups(found: Outliers, sets: Sequence[Step], fit: Fit) -> Check:
+def groups(found: Outliers, sets: Sequence[Step], targets: Sequence[Step], fit: Fit) -> Check:
     """Whether groups or targets ask for another machine than the rest; ``sets``: files, for a base or tool of theirs.
+
+    ``targets``: those that are stated to be somewhere, for another place.
 
     The noise of a file is its own: what it asks for otherwise is in that as well.
     """
     width = max(r.shape[1] for r in fit.residuals)
     told = [(step.size, f"{step.file}", f"a {step.what} of its own") for step in sets if step.chance < RARELY]
+    told += [
+        (step.size, f"{step.file}: the target {step.what!r}", "another place")
+        for step in targets
+        if step.chance < RARELY
+    ]
     told += [
         (float(np.sqrt(group.gain / (group.rows * width))), f"The {group.kind} {group.name!r}", "other parameters")
         for group in found.disagreeing

@@ -8,12 +8,17 @@ tool point that poses do not show is held narrowly for the sake of the search al
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from calib.foundations.arrays import Array, IntArray
-from calib.foundations.linear import triangle
-from calib.identification.parameters import Parameter
+from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.brief import brief
+from calib.foundations.linear import svd, triangle
+from calib.identification.arrow import Arrow
+from calib.identification.identifiability import RANK_TOLERANCE
+from calib.identification.parameters import Parameter, scales
 from calib.identification.widths import NormalEquations, likeliest_widths, likelihood
 
 # Directions of a group that the data must see, given weak priors, before they may teach a width: else it stays weak.
@@ -22,6 +27,46 @@ _FEWEST = 3.0
 _POWER = 0.25
 # Normal equations hold half of a double's digits, as in :mod:`calib.identification.learned`.
 _MOST_INFORMATION = 1e10
+# Singular values below this share of the largest are rounding.
+_SINGULAR = 1e-14
+
+
+@dataclass(frozen=True, eq=False)
+class AlongNullSpace:
+    """What ``values`` (p,) in SI units may be off by along ``null_basis`` (p, k), scaled; found when asked for.
+
+    ``rows``: the data's, whitened, at the values.
+    """
+
+    __repr__ = brief
+
+    null_basis: Array
+    rows: Arrow
+    parameters: tuple[Parameter, ...]
+    values: Array
+
+    @cached_property
+    def factor(self) -> Array:
+        """A factor (p, k) of the covariance, in SI units.
+
+        The truth is anywhere along the null space, as far from the values taken as parameters may be. A tool's height
+        that may be wrong by decimetres, and moves another parameter by thousandths of that, moves it by far more than
+        noise does.
+        """
+        if not self.null_basis.size:
+            return self.null_basis
+        units = scales(self.parameters)
+        _, s, Wt = svd(self.null_basis / self._widths(units)[:, None], full_matrices=False)
+        held = s > _SINGULAR * s[0]
+        return read_only(units[:, None] * (self.null_basis @ (Wt[held].T / s[held])))
+
+    def _widths(self, units: Array) -> Array:
+        """Return the widths (p,) of all parameters, in their scales."""
+        found, common = np.array([q.width / q.scale for q in self.parameters]), self.rows.split.common
+        left = self.rows.reduced(RANK_TOLERANCE).rest
+        likely = [self.parameters[k] for k in common]
+        found[common] = likely_widths(likely, -left[:, :-1], left[:, -1], (self.values / units)[common])
+        return found
 
 
 def likely_widths(parameters: Sequence[Parameter], J: Array, r: Array, z: Array) -> Array:

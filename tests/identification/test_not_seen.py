@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.identification.not_seen import likely_widths
 from calib.identification.parameters import TOOL, UNSHOWN_TOOL_WIDTH, Parameter
-from calib.machine.not_seen import likely_widths
 
 LENGTHS = tuple(Parameter(f"joint_{k}.tx", "m", "placement", ((k, 1.0),), weak_prior=1e-2) for k in range(40))
 ZEROS = tuple(Parameter(f"joint_{k}.offset", "rad", "offset", ((k, 1.0),), weak_prior=0.1) for k in range(6))
