@@ -3,7 +3,7 @@
 Whoever reads a machine from a folder of results needs none of this, nor what a fit is made of.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -78,7 +78,7 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     errors = errors_by_cause(fit, identified)
     state = _to_state(fit, errors.parameters, errors.at) * scales(errors.parameters)
     parts = (errors.instrument, errors.unseen, errors.scatter, errors.of_readings)
-    own = _of_machine(fit)
+    own, noises = _of_machine(fit), _parts(fit, errors)
     parameters = [fit.parameters[k] for k in own]
     null_basis = _to_state(fit, parameters, fit.machine) @ (fit.null_basis[own] * scales(parameters)[:, None])
     return Uncertainty(
@@ -86,11 +86,11 @@ def _uncertainty(fit: Fit) -> Uncertainty:
         (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
         errors.left_out,
         read_only(null_basis),
-        _level(fit, errors, "m"),
-        _level(fit, errors, "rad"),
+        _level(noises, "m"),
+        _level(noises, "rad"),
         read_only(identified),
         _closure_determinant(fit),
-        _own_noise(fit, errors),
+        _own_noise(fit, noises),
         condition_ranges(fit.robot, (end for data in fit.measurements for end in data.loaded(fit.robot).ends)),
     )
 
@@ -157,50 +157,71 @@ def _beyond(variance: float, noise: Noise) -> float:
     return max(beyond - chance / beyond, 0.0)
 
 
-class _Rows(NamedTuple):
-    """Of a component the share of rows that count, and how much larger their squares are than those of all."""
+class _Part(NamedTuple):
+    """Rows of a component: their ``noise``, as the errors have its freedom, of ``freedom`` and ``variance``.
 
-    share: float = 1.0
-    square: float = 1.0
+    ``repeated``: whether rows of one pose err together, ``apart``: whether the rows are not all of the component's.
+    """
+
+    noise: Noise
+    freedom: float
+    variance: float
+    repeated: bool
+    apart: bool = False
+
+    def of_rows(self, share: float, square: float) -> "_Part":
+        """Return it for a share of the rows, whose squares are so much larger than those of all."""
+        return self._replace(freedom=share * self.freedom, variance=square * self.variance, apart=True)
 
 
-def _own_noise(fit: Fit, errors: ErrorsByCause) -> tuple[OwnNoise, ...]:
+def _parts(fit: Fit, errors: ErrorsByCause) -> list[_Part]:
+    """Return all rows of every component."""
+    return [
+        _Part(replace(noise, degrees_of_freedom=freedom), freedom, (share * noise.total) ** 2, repeated)
+        for noise, freedom, share, repeated in zip(
+            fit.noise_by_rows, errors.freedom.tolist(), errors.noise.tolist(), errors.repeated.tolist(), strict=True
+        )
+    ]
+
+
+def _own_noise(fit: Fit, parts: Sequence[_Part]) -> tuple[OwnNoise, ...]:
     """Return the noise of every set-up with every tool, as measured; of those that scatter no more, the common one.
 
     None where none scatters more: the model errs elsewhere as it does there.
     """
-    names = fit.measurements[0]
-    pairs = sorted({pair for data in fit.measurements for pair in _pairs(data)})
-    if len(pairs) < 2:
+    by_pair: dict[tuple[int, int], list[_Part]] = {}
+    for part in parts:
+        for pair, own in _by_pair(fit, part):
+            by_pair.setdefault(pair, []).append(own)
+    if len(by_pair) < 2:
         return ()
-    common = [_level(fit, errors, unit) for unit in ("m", "rad")]
+    names, common = fit.measurements[0], [_level(parts, unit) for unit in ("m", "rad")]
     found = []
-    for setup, tool in pairs:
-        rows = [_rows(fit, noise, setup, tool) for noise in fit.noise_by_rows]
-        own = [_level(fit, errors, unit, rows) for unit in ("m", "rad")]
-        levels = [_noisier(one, every) for one, every in zip(own, common, strict=True)]
+    for (setup, tool), of_pair in sorted(by_pair.items()):
+        there = [_level(of_pair, unit) for unit in ("m", "rad")]
+        levels = [_noisier(own, every) for own, every in zip(there, common, strict=True)]
         found.append(OwnNoise(names.setups[setup], names.tools[tool], *levels))
     apart = any(level is not every for one in found for level, every in zip(one[2:], common, strict=True))
     return tuple(found) if apart else ()
 
 
-def _pairs(data: Measurements) -> set[tuple[int, int]]:
-    """Return which set-ups and tools the rows have, by number."""
-    return {(int(s), int(t)) for end in data.ends for s, t in zip(data.setup, end.tool, strict=True)}
-
-
-def _rows(fit: Fit, noise: Noise, setup: int, tool: int) -> _Rows:
-    """Return how many rows of a component are of a set-up and a tool, and how they scatter; outliers weigh less."""
-    data, loss = fit.measurements[noise.measurements], fit.losses[noise.measurements]
-    own = (data.setup == setup) & np.any([end.tool == tool for end in data.ends], axis=0)
-    if own.all() or not own.any():
-        return _Rows(float(own.all()))
-    columns = next(one.columns for one in QUANTITIES[data.kind] if one.name == noise.quantity)
-    sigma = np.hypot(data.sigma[:, columns], noise.model)
-    squares = np.mean((fit.residuals[noise.measurements][:, columns] / sigma) ** 2, axis=1)
+def _by_pair(fit: Fit, part: _Part) -> Iterator[tuple[tuple[int, int], _Part]]:
+    """Yield every set-up and tool of a component, by number, with the rows that have them; outliers weigh less."""
+    data, loss = fit.measurements[part.noise.measurements], fit.losses[part.noise.measurements]
+    pairs = np.array([np.stack([data.setup, end.tool], axis=1) for end in data.ends])
+    every = np.unique(pairs.reshape(-1, 2), axis=0)
+    if len(every) == 1:
+        yield (int(every[0, 0]), int(every[0, 1])), part
+        return
+    columns = next(one.columns for one in QUANTITIES[data.kind] if one.name == part.noise.quantity)
+    sigma = np.hypot(data.sigma[:, columns], part.noise.model)
+    squares = np.mean((fit.residuals[part.noise.measurements][:, columns] / sigma) ** 2, axis=1)
     squares = squares * scatter_weight(loss, np.sqrt(squares))
-    every = float(np.mean(squares))
-    return _Rows(float(np.mean(own)), float(np.mean(squares[own])) / every if every > 0.0 else 1.0)
+    mean = float(np.mean(squares))
+    for setup, tool in every:
+        own = np.any(np.all(pairs == (setup, tool), axis=2), axis=0)
+        square = float(np.mean(squares[own])) / mean if mean > 0.0 else 1.0
+        yield (int(setup), int(tool)), part.of_rows(float(np.mean(own)), square)
 
 
 def _noisier(own: NoiseLevel | None, common: NoiseLevel | None) -> NoiseLevel | None:
@@ -216,24 +237,19 @@ def _noisier(own: NoiseLevel | None, common: NoiseLevel | None) -> NoiseLevel | 
     return own
 
 
-def _level(fit: Fit, errors: ErrorsByCause, unit: str, rows: Sequence[_Rows] | None = None) -> NoiseLevel | None:
-    """Return the noise of lengths or angles, of some rows of every component or of all."""
-    noises = [
-        replace(noise, degrees_of_freedom=own) for noise, own in zip(fit.noise_by_rows, errors.freedom, strict=True)
-    ]
-    every = zip(noises, errors.noise, errors.repeated, rows or [_Rows()] * len(noises), strict=True)
-    parts = [one for one in every if UNIT_OF[one[0].quantity] == unit and one[3].share > 0.0]
-    freedom = np.array([own.share * noise.degrees_of_freedom for noise, _, _, own in parts])
+def _level(every: Sequence[_Part], unit: str) -> NoiseLevel | None:
+    """Return the noise of lengths or angles that parts of components have."""
+    parts = [part for part in every if UNIT_OF[part.noise.quantity] == unit]
+    freedom = np.array([part.freedom for part in parts])
     if not parts or freedom.sum() <= 0.0:
         return None
 
     def mean(squares: Sequence[float]) -> float:
         return float(np.sqrt(np.average(squares, weights=freedom)))
 
-    variances = [own.square * (share * noise.total) ** 2 for noise, share, _, own in parts]
-    total = mean(variances)
-    model = mean([_beyond(variance, noise) for variance, (noise, *_) in zip(variances, parts, strict=True)])
-    estimated = any(noise.model > 0.0 or repeated or own.square != 1.0 for noise, _, repeated, own in parts)
+    total = mean([part.variance for part in parts])
+    model = mean([_beyond(part.variance, part.noise) for part in parts])
+    estimated = any(part.noise.model > 0.0 or part.repeated or part.apart for part in parts)
     # The estimate of the total has the freedom of the residuals; where nothing had to be added, it is not an estimate.
     # Few poses may leave less than one degree of freedom to positions, or to orientations.
     return NoiseLevel(model, total, max(float(freedom.sum()), 1.0) if estimated else float("inf"))
