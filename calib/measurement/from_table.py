@@ -93,7 +93,8 @@ def measurements_from_table(
     sigma_y, sigma_z``; that of poses likewise from a pair ``sigma`` in m and rad, or the columns ``sigma_angle`` or
     ``sigma_rx, sigma_ry, sigma_rz``. Without any it is 0: unknown. ``offset`` names an unknown length by which every
     length of a ``distance`` or ``pair_distance`` is too long, or the unknown radius of a ``sphere``. ``in_order``:
-    poses were taken one after the other, and the order of the rows says from which side joints were reached.
+    poses were taken one after the other, and the order of the rows says from which side joints were reached. From where
+    the first one was reached nobody knows: it is left out, and so are others until a joint has moved.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
     not of unit length, when a pair has not two rows or two lengths, and when the noise is given twice or of coordinates
@@ -168,8 +169,19 @@ def measurements_from_table(
         times=numbers(table, "time", "time") if "time" in table.columns else None,
     )
     if camera is not None:
-        return seen_by(found, camera, Board())
-    return _paired(found, words(table, "pair")) if kind == "pair_distance" else found
+        found = seen_by(found, camera, Board())
+    elif kind == "pair_distance":
+        found = _paired(found, words(table, "pair"))
+    return _reached(found) if in_order else found
+
+
+def _reached(found: Measurements) -> Measurements:
+    """Return the rows at whose ends the order says of some joint from which side it was reached; all if none are."""
+    known = np.full(len(found), True)
+    for end in found.ends:
+        approach = end.conditions.approach
+        known &= approach is not None and np.any(approach != 0.0, axis=1)
+    return found.subset(known) if known.any() else found
 
 
 _SIGMAS: Mapping[Dimension, str] = {

@@ -20,7 +20,7 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes, sentences
 from calib.foundations.folders import reading_folder, real_folder, refuse_kept, refuse_unwritable, write_folder
-from calib.foundations.json_text import NotJsonError, document, validated
+from calib.foundations.json_text import NotJsonError, document, parse_json, validated
 from calib.foundations.units import DEG, MM
 from calib.foundations.words import shown
 from calib.identification.error_model import corrected_dh
@@ -107,8 +107,18 @@ def _refuse_foreign(folder: Path) -> None:
             f"{folder}: holds {foreign[0]!r}, which is no result of this tool, and results replace the whole folder; "
             "choose another."
         )
-    if entries and not {RESULT_FILE, MODEL_FILE} <= set(entries):
+    if entries and not ({RESULT_FILE, MODEL_FILE} <= set(entries) and _is_ours(folder)):
         raise OutputError(f"{folder}: is not empty and holds no whole results of this tool; choose another folder.")
+
+
+def _is_ours(folder: Path) -> bool:
+    """Return whether ``model.json`` of a folder is one of this tool: others have files of this name, too."""
+    try:
+        with reading_folder(folder):
+            contents = parse_json(read_bytes(folder / MODEL_FILE, OutputError, LARGEST_JSON))
+    except NotJsonError:
+        return False
+    return isinstance(contents, dict) and contents.get("urdf") == NOMINAL_FILE
 
 
 def write_results(

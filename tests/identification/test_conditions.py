@@ -143,8 +143,39 @@ def test_the_order_of_rows_tells_the_sides() -> None:
     lab = Lab(13, 5)
     columns = {k: v for k, v in lab.columns().items() if not k.startswith("direction")}
     data = calib.read_measurements(columns, lab.robot, in_order=True)
-    np.testing.assert_array_equal(data.conditions.approach, in_order(data.readings))
-    np.testing.assert_array_equal(data.subset([3, 1]).conditions.approach, in_order(data.readings)[[3, 1]])
+    # From where the first one was reached nobody knows.
+    expected = in_order(lab.readings)[1:]
+    np.testing.assert_array_equal(data.readings, lab.readings[1:])
+    np.testing.assert_array_equal(data.conditions.approach, expected)
+    np.testing.assert_array_equal(data.subset([3, 1]).conditions.approach, expected[[3, 1]])
+
+
+def test_rows_before_a_joint_has_moved_are_left_out_with_their_pairs() -> None:
+    """The arm may rest at its first pose, and a pair is as well known as its worse end."""
+    lab = Lab(13, 8)
+    told = {k: v for k, v in lab.columns().items() if not k.startswith("direction")}
+    rested = {name: np.concatenate([values[:1], values]) for name, values in told.items()}
+    assert calib.read_measurements(rested, lab.robot, in_order=True).lines[0] == 2 + int(
+        calib.read_measurements(told, lab.robot).lines[0]
+    )
+    still = {name: np.repeat(values[:1], 3) for name, values in told.items()}
+    assert len(calib.read_measurements(still, lab.robot, in_order=True)) == 3
+    pairs = {k: v for k, v in told.items() if k not in ("x [m]", "y [m]", "z [m]")}
+    pairs |= {"length [m]": np.repeat(0.3, 8), "pair": ["a", "b", "a", "b", "c", "c", "d", "d"]}
+    found = calib.read_measurements(pairs, lab.robot, "pair_distance", in_order=True, sigma=SIGMA)
+    assert len(found) == 3
+
+
+def test_a_sound_arm_with_backlash_is_trusted_by_the_order_of_its_rows() -> None:
+    """With the first row as reached from neither side, the base seemed to jump, and all was doubted."""
+    lab = Lab(13, 60)
+    lab.sides = np.array(in_order(lab.readings))
+    lab.sides[0] = 1.0
+    columns = {k: v for k, v in lab.columns().items() if not k.startswith("direction")}
+    found = calib.assess(
+        calib.identify(lab.model(), calib.read_measurements(columns, lab.robot, sigma=SIGMA, in_order=True))
+    )
+    assert found.doubts == ()
 
 
 def test_one_column_may_speak_for_all_joints() -> None:

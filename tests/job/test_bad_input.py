@@ -302,6 +302,10 @@ def test_out_is_a_folder_of_another_tool(folder: Path) -> None:
     write("out/result.json", "{}")(folder)
     why = f"{folder}/out: is not empty and holds no whole results of this tool; choose another folder."
     refused(folder, "out", why)
+    for model in ('{"weights": [1, 2]}', "[]", "mine"):
+        write("out/model.json", model)(folder)
+        refused(folder, "out", why)
+        assert (folder / "out/model.json").read_text(encoding="utf-8") == model
 
 
 @pytest.mark.parametrize("kind", ["link", "folder", "pipe"])

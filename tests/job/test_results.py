@@ -206,8 +206,8 @@ def test_another_reader_sees_the_tip_of_stranger_arms(arm: str, tmp_path: Path) 
 def test_older_results_are_replaced_whole(case: Path, outcome: Calibration, out: Path, tmp_path: Path) -> None:
     target = tmp_path / "out"
     target.mkdir()
-    for name in ("result.json", "model.json", "scene.html"):
-        write(name, "old")(target)
+    for name, text in (("result.json", "old"), ("model.json", '{"urdf": "nominal.urdf"}'), ("scene.html", "old")):
+        write(name, text)(target)
     write_results(outcome, target)
     assert tree(target) == tree(out)
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
