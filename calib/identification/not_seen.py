@@ -47,18 +47,23 @@ class AlongNullSpace:
 
     @cached_property
     def factor(self) -> Array:
-        """A factor (p, k) of the covariance, in SI units.
+        """A factor (p, k + 1) of their expected squares, in SI units.
 
-        The truth is anywhere along the null space, as far from the values taken as parameters may be. A tool's height
-        that may be wrong by decimetres, and moves another parameter by thousandths of that, moves it by far more than
-        noise does.
+        The truth is anywhere along the null space about nominal, as far as parameters may be; and the values are off
+        nominal themselves, where curved valleys have led the search. A tool's height that may be wrong by decimetres,
+        and moves another parameter by thousandths of that, moves it by far more than noise does.
         """
         if not self.null_basis.size:
             return self.null_basis
         units = scales(self.parameters)
-        _, s, Wt = svd(self.null_basis / self._widths(units)[:, None], full_matrices=False)
+        centre = np.array([q.centre or 0.0 for q in self.parameters])
+        of_robot = np.array([q.of_robot for q in self.parameters])
+        off = np.where(of_robot, (self.values - centre) / units, 0.0)
+        widths = self._widths(units)
+        U, s, Wt = svd(self.null_basis / widths[:, None], full_matrices=False)
         held = s > _SINGULAR * s[0]
-        return read_only(units[:, None] * (self.null_basis @ (Wt[held].T / s[held])))
+        root = self.null_basis @ (Wt[held].T / s[held])
+        return read_only(units[:, None] * np.column_stack([root, root @ (U[:, held].T @ (off / widths))]))
 
     def _widths(self, units: Array) -> Array:
         """Return the widths (p,) of all parameters, in their scales."""
