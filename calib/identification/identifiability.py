@@ -26,6 +26,7 @@ RANK_TOLERANCE = 1e-9
 NUMERICAL_TOLERANCE = 0.1
 # A parameter is not identifiable when a unit direction of the null space moves it by more than this. Shares of
 # identifiable parameters stay below 0.02 (second-order effects of deviations up to 10 mm), those of others above 0.1.
+# What such shares leave open where the truth is far along the direction is in sigmas (AlongNullSpace).
 MOVED = 0.02
 # Directions that are determined up to so many times better than those of the null space help to find these; by so weak
 # a prior, in as many steps. What moves what counts by less than this share does not move it.

@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
-from calib.foundations.linear import svd, triangle
+from calib.foundations.linear import one_thread, svd, triangle
 from calib.identification.arrow import Arrow
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.parameters import Parameter, scales
@@ -59,7 +59,8 @@ class AlongNullSpace:
         centre = np.array([q.centre or 0.0 for q in self.parameters])
         of_robot = np.array([q.of_robot for q in self.parameters])
         off = np.where(of_robot, (self.values - centre) / units, 0.0)
-        widths = self._widths(units)
+        with one_thread():
+            widths = self._widths(units)
         U, s, Wt = svd(self.null_basis / widths[:, None], full_matrices=False)
         held = s > _SINGULAR * s[0]
         root = self.null_basis @ (Wt[held].T / s[held])
