@@ -104,7 +104,7 @@ def test_correlations_as_a_data_frame(fit: Fit) -> None:
     np.testing.assert_allclose(np.diag(frame), 1.0)
     np.testing.assert_allclose(frame, frame.T, atol=1e-12)
     index = [k for k, p in enumerate(fit.parameters) if p.name in frame.index[:2]]
-    C = fit.covariance[np.ix_(index, index)]
+    C = fit.told_covariance(np.array(index))
     assert frame.iloc[0, 1] == pytest.approx(C[0, 1] / np.sqrt(C[0, 0] * C[1, 1]))
 
 
