@@ -33,7 +33,7 @@ def run_until_interrupted(serving: Callable[[], Coroutine[Any, Any, None]]) -> N
         with heeded_by(lambda: loop.call_soon_threadsafe(task.cancel)):
             await task
 
-    with contextlib.suppress(asyncio.CancelledError):
+    with contextlib.suppress(asyncio.CancelledError, KeyboardInterrupt):  # the latter before the page is served
         asyncio.run(run())
 
 
