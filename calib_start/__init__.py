@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 
 INTERRUPTED = 130
@@ -94,16 +94,25 @@ def _heeded_once() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def heeded_by_asyncio() -> Iterator[None]:
-    """Let asyncio, which cancels its main task then, handle Ctrl-C in the block: it does so where nobody else does."""
-    ours = _handler() is _press
-    if ours:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+def heeded_by(end: Callable[[], object]) -> Iterator[None]:
+    """Let Ctrl-C in the block call ``end``, in the place of an exception out of whatever runs then.
+
+    A loop of events that is left in its midst loses what it was about to do, and then waits for that without end.
+    """
+    before = _handler()
+    if before not in (signal.default_int_handler, _press):
+        yield
+        return
+
+    def press(_number: int, _frame: FrameType | None) -> None:
+        _let_end()
+        end()
+
+    signal.signal(signal.SIGINT, press)
     try:
         yield
     finally:
-        if ours:
-            signal.signal(signal.SIGINT, _press)
+        signal.signal(signal.SIGINT, before)
 
 
 def _handler() -> object:
@@ -112,6 +121,12 @@ def _handler() -> object:
 
 
 def _press(_number: int, _frame: FrameType | None) -> None:
+    _let_end()
+    raise KeyboardInterrupt
+
+
+def _let_end() -> None:
+    """Let Ctrl-C change nothing for a while, and then end the process at once."""
     pressed = time.monotonic()
 
     def again(number: int, frame: FrameType | None) -> None:
@@ -119,7 +134,6 @@ def _press(_number: int, _frame: FrameType | None) -> None:
             _leave(number, frame)
 
     signal.signal(signal.SIGINT, again)
-    raise KeyboardInterrupt
 
 
 def _open_streams() -> None:

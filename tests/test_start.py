@@ -1,6 +1,8 @@
 """How the command starts and how Ctrl-C ends it: one line and 130, whenever it comes."""
 
+import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -83,6 +85,33 @@ def test_pressed_again_much_later_ends_it_at_once(tmp_path: Path) -> None:
     later = "import calib_start\ncalib_start._PATIENCE = -1.0\n"
     code = TERMINAL + stuck + later + AT_OPEN.format(name=JOB) + MAIN
     assert start(code, "check", str(copy_case(tmp_path))) == (130, "", "Error: interrupted.\n")
+
+
+AGAIN_IN_THE_LOOP = """
+import asyncio, os, signal
+run, pressed = asyncio.Handle._run, []
+def step(self):
+    if not pressed and any(task.cancelling() for task in asyncio.all_tasks()):
+        pressed.append(os.kill(os.getpid(), signal.SIGINT))
+    run(self)
+asyncio.Handle._run = step
+"""
+
+
+def test_pressed_twice_ends_what_serves_a_page(tmp_path: Path) -> None:
+    """An exception out of the midst of the loop of events lost what it was about to do: it waited without end."""
+    command = [sys.executable, "-W", "error", "-u", "-c", TERMINAL + AGAIN_IN_THE_LOOP + MAIN, "app"]
+    places = {**os.environ, "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=places) as page:
+        assert page.stdout is not None
+        while "Ctrl-C" not in page.stdout.readline():
+            pass
+        page.send_signal(signal.SIGINT)
+        try:
+            assert page.communicate(timeout=60)[1] == ""
+        finally:
+            page.kill()
+    assert (page.returncode, list(tmp_path.iterdir())) == (0, [])
 
 
 def test_pressed_when_all_is_done_changes_nothing() -> None:

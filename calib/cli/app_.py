@@ -1,13 +1,12 @@
 """``calib app``: the way from files to results, on a page of this computer."""
 
-import contextlib
 from pathlib import Path
 from typing import Annotated
 
 from calib.cli.application import PATH, command
 from calib.cli.options import Open, Port, option
-from calib.cli.view import shown_at
-from calib_start import heeded_by_asyncio, loading
+from calib.cli.view import run_until_interrupted, shown_at
+from calib_start import loading
 
 _FOLDER = "A folder that keeps files and results, new, empty or of an earlier page; else they go at Ctrl-C."
 
@@ -22,8 +21,5 @@ def app(
     Nothing leaves this computer. The address holds a secret: whoever has it can use the page.
     """
     with loading():
-        import asyncio
-
         from calib.app.server import serve
-    with contextlib.suppress(KeyboardInterrupt), heeded_by_asyncio():  # how this ends well
-        asyncio.run(serve(folder, port, shown_at("The page", open_=open_)))
+    run_until_interrupted(lambda: serve(folder, port, shown_at("The page", open_=open_)))

@@ -1,11 +1,12 @@
 """``calib view``: the scene, live."""
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
+from typing import Any
 
 from calib.cli.application import PATH, command
 from calib.cli.options import Open, Port, ResultFolder
-from calib_start import heeded_by_asyncio, loading
+from calib_start import heeded_by, loading
 
 
 @command("view", PATH, "calib view out/")
@@ -15,15 +16,25 @@ def view(results: ResultFolder, port: Port = 0, open_: Open = False) -> None:
     It shows what scene.html shows. Joints can also be moved by hand, and newer results in the folder are shown at once.
     """
     with loading():
-        import asyncio
-
         from calib.presentation.live import serve
         from calib.results.folder import REPORT_FILE, SCENE_FILE
 
     serving = serve(results, SCENE_FILE, (REPORT_FILE,), port, shown_at(f"The scene of {results}", open_=open_))
-    # Ctrl-C is how this ends well.
-    with contextlib.suppress(KeyboardInterrupt), heeded_by_asyncio():
-        asyncio.run(serving())
+    run_until_interrupted(serving)
+
+
+def run_until_interrupted(serving: Callable[[], Coroutine[Any, Any, None]]) -> None:
+    """Run what serves a page until Ctrl-C, which is how this ends well."""
+    with loading():
+        import asyncio
+
+    async def run() -> None:
+        loop, task = asyncio.get_running_loop(), asyncio.create_task(serving())
+        with heeded_by(lambda: loop.call_soon_threadsafe(task.cancel)):
+            await task
+
+    with contextlib.suppress(asyncio.CancelledError, KeyboardInterrupt):  # the latter before the page is served
+        asyncio.run(run())
 
 
 def shown_at(what: str, *, open_: bool) -> Callable[..., None]:
