@@ -45,6 +45,8 @@ from scripts.development.judge_machines import (
 from scripts.studies.blame import write
 
 FAR = 4.0
+# Residuals of so many times the variance of the noise are of no least-squares solution.
+MISFIT = 2.0
 # One standard deviation, or the range that it is drawn from.
 ZERO, ANGLES, LENGTHS = 3e-3, (1e-3, 3e-3), (0.1e-3, 1e-3)
 LEANS, SIGMAS = (1e-3, 10e-3), (0.02e-3, 0.1e-3)
@@ -133,7 +135,7 @@ def urdf(joints: Sequence[Joint]) -> str:
     """The text of a URDF."""
     links = ["base", *(f"after_{joint.name}" for joint in joints[:-1]), TIP]
     text = [f'<link name="{link}"/>' for link in links]
-    for joint, parent, child in zip(joints, links, links[1:], strict=False):
+    for joint, parent, child in zip(joints, links[:-1], links[1:], strict=True):
         origin = " ".join(
             f'{name}="{" ".join(map(str, value))}"' for name, value in (("xyz", joint.xyz), ("rpy", joint.rpy))
         )
@@ -201,12 +203,14 @@ class Session:
     """The identifiable parameters of one session, each with its sigma in SI units.
 
     ``off``: by how many sigmas they are off, and ``off_by_noise``: by how many of the noise's part of a sigma.
+    ``misfits``: whether the search has ended elsewhere than at the least-squares solution.
     """
 
     names: tuple[str, ...]
     sigmas: Array
     off: Array
     off_by_noise: Array
+    misfits: bool
 
 
 def session(which: str, free: str, seed: int) -> Session:
@@ -232,7 +236,13 @@ def session(which: str, free: str, seed: int) -> Session:
     own = ~fit.unidentifiable
     names = tuple(parameter.name for parameter, is_ in zip(fit.parameters, own, strict=True) if is_)
     errors = (fit.values - true_values(found, true, fit))[own]
-    return Session(names, fit.sigmas[own], errors / fit.sigmas[own], errors / np.sqrt(fit.spread.variances[own]))
+    return Session(
+        names,
+        fit.sigmas[own],
+        errors / fit.sigmas[own],
+        errors / np.sqrt(fit.spread.variances[own]),
+        fit.noise[0].chi_square > MISFIT,
+    )
 
 
 # ---- the table
@@ -240,19 +250,24 @@ def session(which: str, free: str, seed: int) -> Session:
 
 @dataclass(frozen=True)
 class Counts:
-    """Of sessions of a kind, in how many some parameter was far off; identifiable ``parameters`` of all of them."""
+    """Of sessions of a kind, in how many some parameter was far off, and how many misfit.
+
+    ``parameters``: identifiable ones of all sessions.
+    """
 
     far: int
     far_by_noise: int
+    misfits: int
     parameters: int
 
 
 def counted(which: str, free: str, sessions: int) -> Counts:
     """Simulate sessions of a kind; those that are far off are printed."""
-    far = far_by_noise = parameters = 0
+    far = far_by_noise = misfits = parameters = 0
     for seed in range(sessions):
         found = session(which, free, seed)
         parameters += len(found.names)
+        misfits += found.misfits
         beyond = np.abs(found.off) > FAR
         far += bool(np.any(beyond))
         far_by_noise += bool(np.any(np.abs(found.off_by_noise) > FAR))
@@ -262,7 +277,7 @@ def counted(which: str, free: str, sessions: int) -> Counts:
                 f"of {found.sigmas[k]:.2g}",
                 flush=True,
             )
-    return Counts(far, far_by_noise, parameters)
+    return Counts(far, far_by_noise, misfits, parameters)
 
 
 def table(found: Mapping[tuple[str, str], Counts]) -> str:
@@ -282,7 +297,11 @@ def main() -> int:
     with one_thread():
         found = {kind: counted(*kind, arguments.sessions) for kind in product(ARMS, PLACEMENTS)}
     parameters = sum(counts.parameters for counts in found.values())
-    text = f"{table(found)}\n\n{arguments.sessions} sessions of each kind, {parameters} identifiable parameters in all."
+    misfits = sum(counts.misfits for counts in found.values())
+    text = (
+        f"{table(found)}\n\n{arguments.sessions} sessions of each kind, {parameters} identifiable parameters in all.\n"
+        f"The variance of the residuals is more than twice that of the noise in {misfits} sessions."
+    )
     print(text)
     if arguments.markdown is not None:
         write(arguments.markdown, f"\n{text}\n", BEGIN, END)
