@@ -39,8 +39,12 @@ _MOST_SPLITS = 60
 _GAP = 2.5
 # Rows on either side of a jump.
 _LEAST_ROWS = 3
-# Kinds whose targets are measured from anywhere.
-_FROM_ANYWHERE = ("distance", "indicator")
+# Kinds whose targets are measured from anywhere, and those that an arm touches.
+_FROM_ANYWHERE, _TOUCHED = ("distance", "indicator"), ("socket", "plane", "sphere")
+# The instrument's noise explains what remains where it leaves as much more often than this.
+_EXPLAINED = 1e-3
+# Rows at one place touch it in orientations that are too alike where their mean axes are longer than this, squared.
+_ALIKE = 0.3
 # What drifts where an arm warms up.
 LENGTHS = "length of the arm"
 _Found = TypeVar("_Found")
@@ -462,8 +466,8 @@ def elsewhere(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
 
     What the fit has for a target it is, so this is about what was stated of targets. ``what`` is the target, ``line``
     is 0; the largest size first. Rows of one pose are one: what the model leaves at a pose is no other place. What an
-    arm touches it touches in one place, where errors of the arm look like those of the place: targets that are measured
-    from anywhere are looked at alone.
+    arm touches it touches in one place, where errors of the arm look like those of the place: such a target is told
+    where in another place it leaves no more than the stated noise of the instrument.
     """
     poses = [as_means(part, part.pose) for part in parts]
     motions = [part.by_base for part in poses]
@@ -471,11 +475,25 @@ def elsewhere(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
     rows_of = [
         (part, Z, part.data.targets[t], rows)
         for part, Z in zip(within, motions, strict=True)
-        if part.data.kind in _FROM_ANYWHERE
+        if part.data.kind in (*_FROM_ANYWHERE, *_TOUCHED)
         for t, rows in numbered(part.data.target[part.row.astype(np.intp)])
+        if part.data.kind in _FROM_ANYWHERE or _explains(part, Z, rows, own)
     ]
     found = [_apart(name, part, Z, rows, within, own, len(rows_of)) for part, Z, name, rows in rows_of]
     return tuple(sorted(found, key=lambda step: (-step.size, step.what, step.file)))
+
+
+def _explains(part: Stretch, Z: Array, rows: IntArray, C: Array) -> bool:
+    """Return whether a motion Z (n, d, k) of ``rows`` leaves of a part what its instrument's noise leaves."""
+    turned = part.by_tool[rows, :, :3]
+    if np.sum(np.mean(turned, axis=0) ** 2) > _ALIKE * np.mean(np.sum(turned**2, axis=(1, 2))):
+        return False
+    moved = np.zeros_like(Z)
+    moved[rows] = Z[rows]
+    score, shift = _score_of(moved.reshape(part.r.size, -1), part, C)
+    freedom = part.r.size - part.used - float(score.numbers)
+    left = float(np.sum((part.r + shift) ** 2)) / max(part.instrument**2, part.least)
+    return freedom >= 1.0 and float(exceeded(left, round(freedom))) > _EXPLAINED
 
 
 def _apart(

@@ -36,7 +36,8 @@ class Stretch:
     ``followers`` (f): joints that follow a reading of another by a coupling or as mimic joints, and that reading;
     ``by_follower`` (n, d, f): a turn (shift) of each, ``followed`` (n, f): by how much it follows.
     ``row`` (n,): number in the set; ``pose`` (n,): that of its pose. ``used``: how many of the numbers the parameters
-    take up. ``least``: variance of r that is rounding. ``together``: how its photographs err, where their rows err
+    take up. ``instrument``: rms of the instrument's noise, as a share of what rows are weighed by; 0 where it is not
+    known. ``least``: variance of r that is rounding. ``together``: how its photographs err, where their rows err
     together; ``repeats``: how rows of one pose err, of every quantity where these do.
     """
 
@@ -59,6 +60,7 @@ class Stretch:
     pose: IntArray
     data: Measurements
     used: float
+    instrument: float
     least: float
     together: Together | None = None
     repeats: tuple[Repeats, ...] = ()
@@ -128,6 +130,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 poses_of(part, pieces=True),
                 data,
                 float(np.sum((J @ residue.C) * J)),
+                float(np.sqrt(np.mean((part.sigma / sigma[:, :, 0]) ** 2))),
                 (_ROUNDING / float(residue.sigma[i].min())) ** 2,
                 together,
                 tuple(told for told in fit.repeats if told.measurements == i),

@@ -34,6 +34,7 @@ from calib.measurement.boards import Board
 from calib.measurement.checks import Finding
 from calib.robot.deviation import axis_frame
 from tests.support import cameras, machines
+from tests.support.gears import geared
 from tests.support.touching import NORMALS, between, lab
 
 Array = np.ndarray
@@ -792,3 +793,24 @@ def test_planes_in_known_places_are_no_jump() -> None:
     )
     found = calib.assess(calib.identify(model, data))
     assert failed(found) == set()
+
+
+SOCKETS = {"a": (0.6, 0.2, 0.3), "b": (0.5, -0.5, 0.25), "c": (-0.2, 0.7, 0.4), "d": (0.4, 0.4, 0.7)}
+
+
+@pytest.mark.parametrize(("off", "wobble", "named"), [(0.0, 0.0, False), (1e-3, 0.0, True), (0.0, 1e-3, False)])
+def test_a_socket_that_is_not_where_it_is_stated_is_named(off: float, wobble: float, named: bool) -> None:
+    """In another place nothing is left but noise. Gears that wobble leave more, wherever one socket is."""
+    made = lab(noise=3e-5)
+    arm = geared(made.machine.arm, lambda u: wobble * np.cos(u + np.arange(6.0)))
+    made = replace(made, machine=replace(made.machine, arm=arm))
+    q = [made.touching(lambda x, c=c: x - c, made.scatter(20, 3)) for c in SOCKETS.values()]
+    order = made.rng.permutation(80)
+    data = made.read(np.concatenate(q)[order], "socket", target=np.repeat(list(SOCKETS), 20)[order].tolist())
+    stated = SOCKETS | {"b": (0.5, -0.5, 0.25 + off)}
+    known = calib.Known(targets={name: Target(machines.pose(place)) for name, place in stated.items()})
+    model = calib.error_model(made.robot, offsets="all", placements="all", base="fixed", known=known)
+    found = calib.assess(calib.identify(model, data))
+    assert ("groups" in failed(found)) == named
+    if named:
+        assert "the target 'b'" in " ".join(found.doubts)
