@@ -30,7 +30,7 @@ from calib.robot.sampling import least_determinant
 
 # Directions of the covariance below this share of the largest are rounding.
 _ROUNDING = 1e-12
-# Rows scatter more than others where chance makes them do so less often than this.
+# Rows of some pair scatter more than others where chance makes any do so less often than this.
 _CHANCE = 0.01
 
 
@@ -199,7 +199,7 @@ def _own_noise(fit: Fit, parts: Sequence[_Part]) -> tuple[OwnNoise, ...]:
     found = []
     for (setup, tool), of_pair in sorted(by_pair.items()):
         there = [_level(of_pair, unit) for unit in ("m", "rad")]
-        levels = [_noisier(own, every) for own, every in zip(there, common, strict=True)]
+        levels = [_noisier(own, every, _CHANCE / len(by_pair)) for own, every in zip(there, common, strict=True)]
         found.append(OwnNoise(names.setups[setup], names.tools[tool], *levels))
     apart = any(level is not every for one in found for level, every in zip(one[2:], common, strict=True))
     return tuple(found) if apart else ()
@@ -224,15 +224,15 @@ def _by_pair(fit: Fit, part: _Part) -> Iterator[tuple[tuple[int, int], _Part]]:
         yield (int(setup), int(tool)), part.of_rows(float(np.mean(own)), square)
 
 
-def _noisier(own: NoiseLevel | None, common: NoiseLevel | None) -> NoiseLevel | None:
-    """Return the noise of some rows where it is larger than that of all, and by no chance; else the common one."""
+def _noisier(own: NoiseLevel | None, common: NoiseLevel | None, chance: float) -> NoiseLevel | None:
+    """Return the noise of some rows where it is surely larger than that of all, but for ``chance``; else that one."""
     if own is None or common is None or own.model <= common.model:
         return common
     # What the common noise would leave there, beside that of the instrument.
     expected = own.total**2 - own.model**2 + common.model**2
     if expected > 0.0:
         square = own.degrees_of_freedom * own.total**2 / expected
-        if exceeded(square, round(own.degrees_of_freedom), common.degrees_of_freedom) > _CHANCE:
+        if exceeded(square, round(own.degrees_of_freedom), common.degrees_of_freedom) > chance:
             return common
     return own
 
