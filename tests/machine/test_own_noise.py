@@ -108,6 +108,19 @@ def test_a_sigma_that_says_it_is_no_noise_of_its_own() -> None:
     assert machine([hall, wall]).known_uncertainty.own_noise == ()
 
 
+def test_half_of_few_rows_scatter_more_than_the_other_half() -> None:
+    """Beside the noise of all, of which they are half, they are never more than twice that, whatever they are."""
+    known = machine(tables(PLACES, rows=15)).known_uncertainty
+    assert model_of(known.noise("wall", "tool")[0]) == pytest.approx(MORE, rel=0.3)
+    assert known.noise("hall", "tool")[0] == known.position
+
+
+def test_a_table_without_a_sigma_is_compared_by_all_of_its_scatter() -> None:
+    """The instrument's part is no more of the model there than where it is stated."""
+    hall, wall = tables(dict.fromkeys(PLACES, SIGMA))
+    assert machine([hall, replace(wall, sigma=np.zeros_like(wall.sigma))]).known_uncertainty.own_noise == ()
+
+
 def test_one_table_with_a_column_says_the_same(noisy: calib.CalibratedMachine) -> None:
     """Rows of one table have one noise in the fit; how they scatter about it tells set-ups apart."""
     hall, wall = tables(PLACES)
