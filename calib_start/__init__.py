@@ -81,7 +81,7 @@ def _ended_at_once() -> Iterator[None]:
 def _heeded_once() -> Iterator[None]:
     """Let Ctrl-C end the block, but not what it then does to end: that would be half done, and told by a traceback.
 
-    After the block it changes nothing: all is done, and Python's own end would show where it was met.
+    After the block it changes nothing either: all is done, and Python's own end would show where it was met.
     """
     if _handler() is not signal.default_int_handler:
         yield
@@ -90,7 +90,7 @@ def _heeded_once() -> Iterator[None]:
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        _let_it_end()
 
 
 @contextlib.contextmanager
@@ -105,7 +105,7 @@ def heeded_by(end: Callable[[], object]) -> Iterator[None]:
         return
 
     def press(_number: int, _frame: FrameType | None) -> None:
-        _let_end()
+        _let_it_end()
         end()
 
     signal.signal(signal.SIGINT, press)
@@ -121,19 +121,19 @@ def _handler() -> object:
 
 
 def _press(_number: int, _frame: FrameType | None) -> None:
-    _let_end()
+    _let_it_end()
     raise KeyboardInterrupt
 
 
-def _let_end() -> None:
-    """Let Ctrl-C change nothing for a while, and then end the process at once."""
-    pressed = time.monotonic()
+def _let_it_end() -> None:
+    """Let Ctrl-C change nothing for a while, in which the process is to have ended; then it ends it at once."""
+    since = time.monotonic()
 
-    def again(number: int, frame: FrameType | None) -> None:
-        if time.monotonic() > pressed + _PATIENCE:
+    def pressed(number: int, frame: FrameType | None) -> None:
+        if time.monotonic() > since + _PATIENCE:
             _leave(number, frame)
 
-    signal.signal(signal.SIGINT, again)
+    signal.signal(signal.SIGINT, pressed)
 
 
 def _open_streams() -> None:

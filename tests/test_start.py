@@ -125,6 +125,17 @@ def test_pressed_when_all_is_done_changes_nothing() -> None:
     assert out == f"{calib.__version__}\n"
 
 
+def test_pressed_where_the_end_does_not_come() -> None:
+    """As where some library waits for a thread of its own."""
+    stuck = (
+        "import os, threading, time, calib_start\n"
+        "calib_start._PATIENCE = -1.0\n"
+        "threading._shutdown = lambda: (os.kill(os.getpid(), signal.SIGINT), time.sleep(60))\n"
+    )
+    code, out, err = start(TERMINAL + stuck + MAIN, "--version")
+    assert (code, out, err) == (130, f"{calib.__version__}\n", "Error: interrupted.\n")
+
+
 def test_where_interrupts_are_ignored_they_stay_so(tmp_path: Path) -> None:
     ignoring = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
     for trap in (AT_IMPORT.format(module="numpy"), AT_OPEN.format(name=JOB)):

@@ -28,7 +28,7 @@ from calib.foundations.linear import one_thread, svd, triangle
 from calib.foundations.ranges import refuse_beyond
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.tool_uncertainty import common_errors, residual_errors, row_noise
+from calib.machine.tool_uncertainty import common_errors, residual_errors, row_freedom, row_noise
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import TipModel
@@ -230,7 +230,7 @@ def _offset_alike(machine: CalibratedMachine, found: CalibratedMachine, data: Me
     # In the axes of the base a joint that nothing carries moves the tip about the same axis wherever it is.
     twists = rigid.adjoint(tips) @ by_reading
     twists /= np.maximum(np.linalg.norm(twists, axis=1, keepdims=True), np.finfo(float).tiny)
-    freedom = machine.known_uncertainty.degrees_of_freedom
+    freedom = float(row_freedom(machine, data).min())
     moves = []
     with one_thread():
         whitened = _whitening(found, data, sigma)
@@ -296,7 +296,7 @@ def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, *, bas
     return Judgement(
         dict(metrics([(data.kind, r)])),
         read_only(r),
-        ChiSquare(T, n, float(exceeded(T, n, machine.known_uncertainty.degrees_of_freedom))),
+        ChiSquare(T, n, float(exceeded(T, n, row_freedom(machine, data).min()))),
     )
 
 

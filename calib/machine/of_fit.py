@@ -3,7 +3,7 @@
 Whoever reads a machine from a folder of results needs none of this, nor what a fit is made of.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -30,7 +30,7 @@ from calib.robot.sampling import least_determinant
 
 # Directions of the covariance below this share of the largest are rounding.
 _ROUNDING = 1e-12
-# Rows scatter more than others where chance makes them do so less often than this.
+# Rows of some pair scatter more than others where chance makes any do so less often than this.
 _CHANCE = 0.01
 
 
@@ -187,7 +187,7 @@ def _parts(fit: Fit, errors: ErrorsByCause) -> list[_Part]:
 def _own_noise(fit: Fit, parts: Sequence[_Part]) -> tuple[OwnNoise, ...]:
     """Return the noise of every set-up with every tool, as measured; of those that scatter no more, the common one.
 
-    None where none scatters more: the model errs elsewhere as it does there.
+    None where none scatters more than the others: the model errs elsewhere as it does there.
     """
     by_pair: dict[tuple[int, int], list[_Part]] = {}
     for part in parts:
@@ -195,14 +195,48 @@ def _own_noise(fit: Fit, parts: Sequence[_Part]) -> tuple[OwnNoise, ...]:
             by_pair.setdefault(pair, []).append(own)
     if len(by_pair) < 2:
         return ()
-    names, common = fit.measurements[0], [_level(parts, unit) for unit in ("m", "rad")]
-    found = []
-    for (setup, tool), of_pair in sorted(by_pair.items()):
-        there = [_level(of_pair, unit) for unit in ("m", "rad")]
-        levels = [_noisier(own, every) for own, every in zip(there, common, strict=True)]
-        found.append(OwnNoise(names.setups[setup], names.tools[tool], *levels))
-    apart = any(level is not every for one in found for level, every in zip(one[2:], common, strict=True))
-    return tuple(found) if apart else ()
+    by_unit = [_levels(by_pair, parts, unit) for unit in ("m", "rad")]
+    names, pairs = fit.measurements[0], sorted(by_pair)
+    apart = any(len(set(levels.values())) > 1 for levels in by_unit)
+    return tuple(
+        OwnNoise(names.setups[setup], names.tools[tool], *(levels[setup, tool] for levels in by_unit))
+        for setup, tool in (pairs if apart else ())
+    )
+
+
+def _levels(
+    by_pair: Mapping[tuple[int, int], Sequence[_Part]], parts: Sequence[_Part], unit: str
+) -> dict[tuple[int, int], NoiseLevel | None]:
+    """Return the noise of lengths or angles of every pair: its own, where its rows surely scatter more than others."""
+    common, squares = _level(parts, unit), {pair: _squares(own, unit) for pair, own in by_pair.items()}
+    every = np.sum(list(squares.values()), axis=0)
+    found: dict[tuple[int, int], NoiseLevel | None] = dict.fromkeys(by_pair, common)
+    for pair, own in squares.items():
+        level = _level(by_pair[pair], unit)
+        if level is None or common is None or level.model <= common.model:
+            continue
+        if _chance(own, every - own) < _CHANCE / len(by_pair):
+            found[pair] = level
+    return found
+
+
+def _squares(parts: Sequence[_Part], unit: str) -> Array:
+    """Return the freedom of lengths or angles, and sums of squares that it has of all noise and of the instrument's."""
+    found = np.zeros(3)
+    for part in parts:
+        if UNIT_OF[part.noise.quantity] == unit:
+            found += part.freedom * np.array([1.0, part.variance, part.noise.instrument**2])
+    return found
+
+
+def _chance(own: Array, others: Array) -> float:
+    """Return how often rows scatter as much by chance, if the model leaves in them what it does in others (3,)."""
+    if own[0] <= 0.0 or others[0] <= 0.0:
+        return 1.0
+    total, instrument = np.maximum(others[1:], 0.0) / others[0]
+    level = NoiseLevel(float(np.sqrt(max(total - instrument, 0.0))), float(np.sqrt(total)), float(others[0]))
+    expected = float(level.of_rows(np.sqrt(own[2] / own[0]))) ** 2
+    return float(exceeded(own[1] / expected, max(round(own[0]), 1), others[0])) if expected > 0.0 else 0.0
 
 
 def _by_pair(fit: Fit, part: _Part) -> Iterator[tuple[tuple[int, int], _Part]]:
@@ -222,19 +256,6 @@ def _by_pair(fit: Fit, part: _Part) -> Iterator[tuple[tuple[int, int], _Part]]:
         own = np.any(np.all(pairs == (setup, tool), axis=2), axis=0)
         square = float(np.mean(squares[own])) / mean if mean > 0.0 else 1.0
         yield (int(setup), int(tool)), part.of_rows(float(np.mean(own)), square)
-
-
-def _noisier(own: NoiseLevel | None, common: NoiseLevel | None) -> NoiseLevel | None:
-    """Return the noise of some rows where it is larger than that of all, and by no chance; else the common one."""
-    if own is None or common is None or own.model <= common.model:
-        return common
-    # What the common noise would leave there, beside that of the instrument.
-    expected = own.total**2 - own.model**2 + common.model**2
-    if expected > 0.0:
-        square = own.degrees_of_freedom * own.total**2 / expected
-        if exceeded(square, round(own.degrees_of_freedom), common.degrees_of_freedom) > _CHANCE:
-            return common
-    return own
 
 
 def _level(every: Sequence[_Part], unit: str) -> NoiseLevel | None:

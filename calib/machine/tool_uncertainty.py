@@ -6,7 +6,7 @@ What the data do not show has the width of not knowing.
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -110,14 +110,27 @@ def row_noise(machine: CalibratedMachine, data: Measurements) -> Array:
     As rows of their set-up and tool scatter; nan where nothing of the kind was measured.
     """
     known, found = machine.known_uncertainty, np.full(data.sigma.shape, np.nan)
-    for s, setup in enumerate(data.setups):
-        for k, tool in enumerate(data.tools):
-            rows = np.flatnonzero((data.tool == k) & (data.setup == s))
-            for q, level in enumerate(known.noise(setup, tool)):
-                columns = slice(3 * q, 3 * q + 3)
-                if level is not None:
-                    found[rows, columns] = level.of_rows(data.sigma[rows, columns])
+    for setup, tool, rows in _by_pair(data):
+        for q, level in enumerate(known.noise(setup, tool)):
+            columns = slice(3 * q, 3 * q + 3)
+            if level is not None:
+                found[rows, columns] = level.of_rows(data.sigma[rows, columns])
     return found
+
+
+def row_freedom(machine: CalibratedMachine, data: Measurements) -> Array:
+    """Return the degrees of freedom (N,) of the uncertainty of rows of ``data``, in their set-ups with their tools."""
+    found = np.full(len(data), np.inf)
+    for setup, tool, rows in _by_pair(data):
+        found[rows] = machine.known_uncertainty.freedom(setup, tool)
+    return found
+
+
+def _by_pair(data: Measurements) -> Iterator[tuple[str, str, IntArray]]:
+    """Yield every set-up and tool of rows, and the rows (n,) that have both."""
+    pairs, number = np.unique(np.column_stack([data.setup, data.tool]), axis=0, return_inverse=True)
+    for k, (setup, tool) in enumerate(pairs.tolist()):
+        yield data.setups[setup], data.tools[tool], np.flatnonzero(number.reshape(-1) == k)
 
 
 def residual_errors(machine: CalibratedMachine, data: Measurements) -> Array:
@@ -268,7 +281,7 @@ def _blocks(errors: _Errors, readings: Array, conditions: Conditions) -> ToolUnc
             parts.append(_of_block(errors, readings[rows], conditions.subset(rows)))
     covariance, sizes, squares = (read_only(np.concatenate(part)) for part in zip(*parts, strict=True))
     budget = {cause: read_only(np.sqrt(squares[:, k])) for k, cause in enumerate(CAUSES)}
-    return ToolUncertainty(covariance, sizes, budget, errors.known.degrees_of_freedom)
+    return ToolUncertainty(covariance, sizes, budget, errors.known.freedom(errors.view.machine.setup, errors.view.tool))
 
 
 def _of_block(of: _Errors, readings: Array, conditions: Conditions) -> tuple[Array, Array, Array]:

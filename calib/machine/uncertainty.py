@@ -143,8 +143,11 @@ class Uncertainty:
     @property
     def degrees_of_freedom(self) -> float:
         """Degrees of freedom of the covariance: the fewest of what it was estimated from."""
-        levels = (self.position, self.orientation, *(level for one in self.own_noise for level in one[2:]))
-        return min((level.degrees_of_freedom for level in levels if level is not None), default=float("inf"))
+        return _fewest((self.position, self.orientation))
+
+    def freedom(self, setup: str, tool: str) -> float:
+        """Return the degrees of freedom of the covariance in a set-up with a tool, whose noise may be of few rows."""
+        return min(self.degrees_of_freedom, _fewest(self.noise(setup, tool)))
 
     def __repr__(self) -> str:
         return (
@@ -179,7 +182,7 @@ class ToolUncertainty(_Known):
     and of small turns about the tool's axes, in m and rad. ``null_space_rms`` (N, 2): rms of what one parameter scale
     along every direction of the null space would add to the position, in m, and to the orientation, in rad. ``budget``:
     of every one of ``CAUSES`` the standard deviations (N, 2) of position and orientation, whose squares add up.
-    ``degrees_of_freedom``: as in :class:`Uncertainty`.
+    ``degrees_of_freedom``: as :meth:`Uncertainty.freedom` has them.
     """
 
     covariance: Array
@@ -241,6 +244,10 @@ def rms_by_cause(budget: Mapping[str, Array]) -> dict[str, list[float]]:
 
 def _largest(levels: Sequence[NoiseLevel | None]) -> NoiseLevel | None:
     return max((level for level in levels if level is not None), key=lambda level: level.total, default=None)
+
+
+def _fewest(levels: Sequence[NoiseLevel | None]) -> float:
+    return min((level.degrees_of_freedom for level in levels if level is not None), default=float("inf"))
 
 
 def _root_trace(covariance: Array) -> Array:

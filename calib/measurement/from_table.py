@@ -176,12 +176,15 @@ def measurements_from_table(
 
 
 def _reached(found: Measurements) -> Measurements:
-    """Return the rows at whose ends the order says of some joint from which side it was reached; all if none are."""
+    """Return the rows at whose ends the order says of some joint from which side it was reached; all if none are.
+
+    A tool, set-up or target that only others have is none of theirs.
+    """
     known = np.full(len(found), True)
     for end in found.ends:
         approach = end.conditions.approach
         known &= approach is not None and np.any(approach != 0.0, axis=1)
-    return found.subset(known) if known.any() else found
+    return found.subset(known).with_own_names() if known.any() else found
 
 
 _SIGMAS: Mapping[Dimension, str] = {

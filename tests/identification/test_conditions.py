@@ -166,6 +166,15 @@ def test_rows_before_a_joint_has_moved_are_left_out_with_their_pairs() -> None:
     assert len(found) == 3
 
 
+@pytest.mark.parametrize(("column", "names"), [("tool", "tools"), ("setup", "setups")])
+def test_what_only_the_row_had_that_is_left_out_is_not_calibrated(column: str, names: str) -> None:
+    """It would be a tool or base that no row tells of."""
+    lab = Lab(13, 8)
+    told = {k: v for k, v in lab.columns().items() if not k.startswith("direction")}
+    data = calib.read_measurements(told | {column: ["first", *["usual"] * 7]}, lab.robot, in_order=True)
+    assert getattr(data, names) == ("usual",)
+
+
 def test_a_sound_arm_with_backlash_is_trusted_by_the_order_of_its_rows() -> None:
     """With the first row as reached from neither side, the base seemed to jump, and all was doubted."""
     lab = Lab(13, 60)

@@ -9,7 +9,7 @@ import pytest
 import calib
 from calib.foundations.errors import OutputError
 from calib.machine.model_file import machine_files
-from calib.machine.tool_uncertainty import row_noise
+from calib.machine.tool_uncertainty import row_freedom, row_noise
 from calib.machine.uncertainty import NoiseLevel, OwnNoise, Uncertainty
 from tests.support import machines
 from tests.support.machines import Machine, anywhere, pose
@@ -70,10 +70,55 @@ def test_sound_set_ups_have_one_noise() -> None:
     assert known.noise("hall", "tool") == known.noise("anywhere", "anything") == (known.position, known.orientation)
 
 
+def places(seed: int, rows: dict[str, int], scatter: dict[str, float]) -> list[calib.Measurements]:
+    """Positions of one arm in several places, whose noise is not stated."""
+    rng = np.random.default_rng(seed)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10).moved(rng)
+    found = []
+    for name, n in rows.items():
+        true = Machine(arm, anywhere(rng), {"tool": pose((0.05, 0.02, 0.15), (0.3, -0.2, 0.4))})
+        seen = true.measure(robot, arm.draw(rng, n), "position", rng=rng, sigma=scatter.get(name, SIGMA))
+        found.append(replace(seen, sigma=np.zeros_like(seen.sigma)).named(setup=name))
+    return found
+
+
+def test_few_rows_that_scatter_more_leave_others_as_sure_as_they_were() -> None:
+    """Three rows of one place have a noise of their own; by its degrees of freedom all regions were twice as large."""
+    hall, wall = places(3, {"hall": 60, "wall": 3}, {"wall": 100 * SIGMA})
+    found = machine([hall, wall])
+    known, q = found.known_uncertainty, np.zeros((1, 6))
+    here, there = (known.freedom(name, "tool") for name in ("hall", "wall"))
+    assert there < 4.0
+    assert here == known.degrees_of_freedom > 100.0
+    for name, freedom in (("hall", here), ("wall", there)):
+        assert calib.judging.tool_uncertainty(found.at(name), q).degrees_of_freedom == freedom
+    np.testing.assert_array_equal(row_freedom(found, wall), np.full(3, there))
+    np.testing.assert_array_equal(row_freedom(found, hall), np.full(60, here))
+
+
+@pytest.mark.parametrize("seed", [1, 3, 5])
+def test_of_many_set_ups_one_scatters_most_by_chance(seed: int) -> None:
+    """What happens to one of a hundred happens to one of so many that it is no noise of their own."""
+    assert machine(places(seed, {"hall": 40} | {f"{k}": 3 for k in range(24)}, {})).known_uncertainty.own_noise == ()
+
+
 def test_a_sigma_that_says_it_is_no_noise_of_its_own() -> None:
     hall, wall = tables(PLACES)
     wall = replace(wall, sigma=np.full_like(wall.sigma, PLACES["wall"]))
     assert machine([hall, wall]).known_uncertainty.own_noise == ()
+
+
+def test_half_of_few_rows_scatter_more_than_the_other_half() -> None:
+    """Beside the noise of all, of which they are half, they are never more than twice that, whatever they are."""
+    known = machine(tables(PLACES, rows=15)).known_uncertainty
+    assert model_of(known.noise("wall", "tool")[0]) == pytest.approx(MORE, rel=0.3)
+    assert known.noise("hall", "tool")[0] == known.position
+
+
+def test_a_table_without_a_sigma_is_compared_by_all_of_its_scatter() -> None:
+    """The instrument's part is no more of the model there than where it is stated."""
+    hall, wall = tables(dict.fromkeys(PLACES, SIGMA))
+    assert machine([hall, replace(wall, sigma=np.zeros_like(wall.sigma))]).known_uncertainty.own_noise == ()
 
 
 def test_one_table_with_a_column_says_the_same(noisy: calib.CalibratedMachine) -> None:
@@ -124,7 +169,7 @@ def test_of_a_pair_that_was_not_measured_the_largest_counts(noisy: calib.Calibra
     assert known.noise("a", "s") == (small, None)
     assert known.noise("b", "s") == (huge, None)
     assert known.noise("a", "t") == (large, None)
-    assert known.degrees_of_freedom == 50.0
+    assert known.freedom("a", "s") == 50.0 < known.degrees_of_freedom
 
 
 def test_it_is_kept_and_verifies(noisy: calib.CalibratedMachine, tmp_path: Path) -> None:

@@ -10,12 +10,12 @@ from calib.assessment.effects import memory
 from calib.assessment.gain import gain
 from calib.assessment.judged import NOTHING, Check, JudgedSet
 from calib.foundations.arrays import Array, BoolArray
-from calib.foundations.chance import bound
+from calib.foundations.chance import bound, exceeded
 from calib.foundations.linear import spread
 from calib.identification.fit import Fit
 from calib.identification.repeats import by_pose
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.tool_uncertainty import common_errors, residual_errors, row_noise
+from calib.machine.tool_uncertainty import common_errors, residual_errors, row_freedom, row_noise
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import End, Measurements
 from calib.measurement.poses import ONE_POSE, both_ends, poses_of
@@ -188,7 +188,7 @@ def _inside(machine: CalibratedMachine, one: JudgedSet) -> BoolArray:
     data = one.data
     if machine.known_uncertainty.position is None or data.kind not in ("position", "pose") or not _known(machine, data):
         return np.zeros(0, dtype=np.bool_)
-    most = bound(REGION, 3, machine.known_uncertainty.degrees_of_freedom)
+    freedom = row_freedom(machine, data)
     found = np.empty(len(data), dtype=np.bool_)
     for start in range(0, len(data), _BLOCK):
         rows = np.arange(start, min(start + _BLOCK, len(data)))
@@ -197,7 +197,8 @@ def _inside(machine: CalibratedMachine, one: JudgedSet) -> BoolArray:
         noise = np.maximum(row_noise(machine, own)[:, :3], ROUNDING)
         C = F @ np.swapaxes(F, 1, 2) + noise[:, :, None] ** 2 * np.eye(3)
         r = one.after[rows, :3, None]
-        found[rows] = (np.swapaxes(r, 1, 2) @ np.linalg.solve(C, r))[:, 0, 0] <= most
+        square = (np.swapaxes(r, 1, 2) @ np.linalg.solve(C, r))[:, 0, 0]
+        found[rows] = exceeded(square, 3, freedom[rows]) >= 1.0 - REGION
     return found
 
 
