@@ -69,8 +69,16 @@ def advice(fit: Fit) -> tuple[Advice, ...]:
     found = null_space_advice(fit.model, fit.measurements, fit.null_space)
     factor = {**DISPLAY, "rad": (1.0 / MRAD, "mrad")}
     said = []
-    for parameter, sigma, weak in zip(fit.parameters, fit.sigmas, fit.weakly_determined, strict=True):
+    left_open = np.sum(fit.by_null_space**2, axis=1) > 0.5 * fit.sigmas**2
+    for parameter, sigma, weak, is_open in zip(
+        fit.parameters, fit.sigmas, fit.weakly_determined, left_open.tolist(), strict=True
+    ):
         if weak:
+            remedy = (
+                "the null space leaves most of that open, and what helps against it helps here"
+                if is_open
+                else "more or other poses would help, or a prior"
+            )
             times, unit = factor.get(parameter.unit, (1.0, parameter.unit))
             judged = "its prior" if parameter.hold == 1.0 else "the parameter scale"
             said.append(
@@ -78,7 +86,7 @@ def advice(fit: Fit) -> tuple[Advice, ...]:
                     "weakly determined",
                     (parameter.name,),
                     f"{parameter.name} is weakly determined: its sigma is {sigma * times:.3g} {unit}, where {judged} "
-                    f"is {parameter.scale * times:.3g} {unit}; more or other poses would help, or a prior.",
+                    f"is {parameter.scale * times:.3g} {unit}; {remedy}.",
                 )
             )
     return (*found, *said, *_correlated(fit))

@@ -82,7 +82,7 @@ def _outside(name: str, values: Array, ends: tuple[float, float], unit: str) -> 
     beyond = np.maximum(low - slack - values, values - high - slack)
     if not np.any(beyond > 0.0):
         return
-    worst = int(np.argmax(beyond))
+    worst = int(np.nanargmax(beyond))  # of some rows a temperature may not be told
     span = f"{low:.4g} to {high:.4g}" if high > low else f"{low:.4g}"
     yield (
         f"{name} is outside the range it was identified in, {span} {unit}, in {np.count_nonzero(beyond > 0.0)} of "

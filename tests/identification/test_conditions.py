@@ -305,7 +305,7 @@ def test_a_temperature_beyond_those_that_were_measured_is_outside(folder: tuple[
     again, u = calib.load_machine(path), np.zeros((3, 6))
     assert again.known_uncertainty.conditions == {"temperature": (degrees.min(), degrees.max())}
     assert outside_identified(again, u) == ()
-    told = Conditions(temperature=np.array([20.0, 41.0, 60.0]))
+    told = Conditions(temperature=np.array([np.nan, 41.0, 60.0]))
     assert outside_identified(again, u, told) == (
         f"The temperature is outside the range it was identified in, {degrees.min():.4g} to {degrees.max():.4g} degC, "
         "in 1 of 3 rows; the farthest is 60 degC.",

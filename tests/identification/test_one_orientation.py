@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.assessment.advice import advice
 from calib.foundations import rigid
 from calib.identification.observability import rank_findings
 from calib.identification.parameters import width
@@ -127,6 +128,12 @@ def test_a_tools_height_that_is_not_seen_is_in_the_sigma_of_what_it_moves(height
         assert told[name] == pytest.approx(0.3 * {"base.x": 6e-3, "base.y": 8e-3}[name], rel=0.1)
     known = np.flatnonzero(~fit.unidentifiable)
     np.testing.assert_allclose(np.sqrt(np.diag(fit.told_covariance(known))), fit.sigmas[known], rtol=1e-12)
+    # Other poses do not help, and are not advised.
+    weak = [advised.sentence for advised in advice(fit) if advised.kind == "weakly determined"]
+    assert len(weak) == 2
+    assert all(
+        said.endswith("the null space leaves most of that open, and what helps against it helps here.") for said in weak
+    )
     # What no height moves is told as before.
     turn = [p.name for p in fit.parameters].index("base.rx")
     assert fit.sigmas[turn] == pytest.approx(np.sqrt(fit.spread.variances[turn]), rel=0.01)
