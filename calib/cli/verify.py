@@ -85,7 +85,7 @@ def verify(
             limit=None if limit is None else parse_within(limit, RANGES["sigma"], "limit"),
             refit=refit_base,
         )
-        outside = outside_identified(machine, data.readings, data.conditions)
+        outside = outside_identified(machine, data.readings, data.loaded(machine.robot).conditions)
     telling.tell(
         lambda: {**found.contents(), "outside": list(outside)},
         lambda: [*map(warning, outside), verification_sheet(found), *verification_lines(found)],

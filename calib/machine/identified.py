@@ -20,7 +20,7 @@ from calib.robot.terms import kind_of
 from calib.robot.terms.kind import TEMPERATURE
 
 # A value is outside if it is beyond the outermost of the data by more than this share of their range.
-_SLACK = 0.05
+_SLACK, _ROUNDING = 0.05, 1e-9
 # The units in which conditions are told; the same ones are kept.
 _UNITS = {"temperature": "degC", "payload": "kg"}
 
@@ -78,7 +78,7 @@ def outside_identified(
 
 def _outside(name: str, values: Array, ends: tuple[float, float], unit: str) -> Iterator[str]:
     low, high = ends
-    slack = _SLACK * (high - low)
+    slack = _SLACK * (high - low) + _ROUNDING * max(abs(low), abs(high))
     beyond = np.maximum(low - slack - values, values - high - slack)
     if not np.any(beyond > 0.0):
         return
