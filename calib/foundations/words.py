@@ -6,6 +6,8 @@ from collections.abc import Collection, Iterable, Sequence
 from calib.foundations.errors import CalibError, JobError
 
 LONGEST_SHOWN = 60
+# Characters that turn round what follows them, numbers as well: embeddings, overrides and isolates of directions.
+_TURNING = {code: f"\\u{code:04x}" for code in (*range(0x202A, 0x202F), *range(0x2066, 0x206A))}
 # Likeness takes time with the square of the length, and is asked of every known word.
 _LONGEST_COMPARED = 100
 _MOST_COMPARED = 1000
@@ -68,3 +70,8 @@ def printable(text: str) -> str:
     Names in it can then neither break the line nor command the terminal.
     """
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def unturned(text: str) -> str:
+    """Return a page with an escape for every character that would turn round the words or numbers after it."""
+    return text.translate(_TURNING)

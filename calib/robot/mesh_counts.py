@@ -1,7 +1,7 @@
 """How much a mesh file will be once it is read: a few lines of GLB or COLLADA may ask for any number of triangles.
 
 Counted from what the file says, before a library makes it. Of the other formats only parts are
-counted: their points are all in the file.
+counted: their points are all in the file. Pictures in a GLB are left out, as nobody looks at them.
 """
 
 import json
@@ -15,7 +15,7 @@ from calib.foundations.xml_text import Element, read_xml
 MOST_CORNERS = 600_000
 MOST_PARTS = 1000
 _HEADER = 12
-_WORDS_BEFORE_A_PART = {".obj": (b"\no ", b"\ng ", b"\nusemtl "), ".stl": (b"solid ",)}
+_WORDS_BEFORE_A_PART = {".obj": (b"\no ", b"\ng ", b"\nusemtl "), ".stl": (b"solid",)}
 
 
 class Counts(NamedTuple):
@@ -38,7 +38,8 @@ def counts(data: bytes, suffix: str) -> Counts:
         return _of_glb(data)
     if suffix == ".dae":
         return _of_collada(data)
-    return Counts(0, sum(map(data.count, _WORDS_BEFORE_A_PART.get(suffix, ()))))
+    words = _WORDS_BEFORE_A_PART.get(suffix, ())
+    return Counts(0, sum(map((data.lower() if words else data).count, words)))
 
 
 def _of_glb(data: bytes) -> Counts:
@@ -55,9 +56,15 @@ def _of_glb(data: bytes) -> Counts:
     meshes = [[corners(primitive) for primitive in mesh["primitives"]] for mesh in tree["meshes"]]
     shown = [meshes[node["mesh"]] for node in tree.get("nodes", ()) if "mesh" in node]
     # All that there is is made, whether it is shown or not; and all nodes are parts of the tree.
-    made = sum(accessors) + sum(map(sum, meshes))
+    made = sum(accessors) + sum(map(sum, meshes)) + _copied(tree.get("bufferViews", ()), len(data))
     parts = max(sum(map(len, meshes)), sum(map(len, shown)), len(tree.get("nodes", ())), len(accessors) // 10)
     return Counts(max(made, sum(map(sum, shown))), parts)
+
+
+def _copied(views: Iterable[Mapping[str, Any]], size: int) -> int:
+    """Return how many bytes more than a GLB of ``size`` has its views have: each is copied, and they may overlap."""
+    lengths = (int(view.get("byteLength", 0)) for view in views)
+    return max(sum(length if 0 <= length < size else size for length in lengths) - size, 0)
 
 
 def _of_collada(data: bytes) -> Counts:
@@ -149,3 +156,16 @@ def _sum(found: list[Counts]) -> Counts:
 
 def _most(found: list[Counts]) -> Counts:
     return Counts(max(one.corners for one in found), max(one.parts for one in found))
+
+
+def without_pictures(data: bytes) -> bytes:
+    """Return a GLB without its pictures: some kilobytes may unpack to gigabytes, which some materials compute with."""
+    begin = _HEADER + 8
+    length = struct.unpack_from("<I", data, _HEADER)[0]
+    tree = json.loads(data[begin : begin + length])
+    if not tree.pop("images", ()):
+        return data
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    rest = text + data[begin + length :]
+    return data[:8] + struct.pack("<II", begin + len(rest), len(text)) + data[_HEADER + 4 : begin] + rest

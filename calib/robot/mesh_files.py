@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.files import DAMAGED
-from calib.robot.mesh_counts import MOST_CORNERS, counts
+from calib.robot.mesh_counts import MOST_CORNERS, counts, without_pictures
 
 Rgb = tuple[float, float, float]
 
@@ -108,6 +108,7 @@ def _by_library(data: bytes, suffix: str, otherwise: Rgb) -> list[Triangles]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            data = without_pictures(data) if suffix == ".glb" else data
             scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=None)
             # COLLADA states its unit, and ROS viewers obey it.
             unit = 1.0 if scene.units is None else trimesh.units.unit_conversion(scene.units, "meters")

@@ -21,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -346,6 +347,31 @@ def _glb_same_view(size: int) -> bytes:
     meshes = [{"primitives": [{"attributes": {"POSITION": k}}]} for k in range(n)]
     tree = {"bufferViews": views, "accessors": accessors, "meshes": meshes, "buffers": [{"byteLength": len(points)}]}
     return _glb(_SOUND | tree | {"nodes": [{"mesh": k} for k in range(n)]}, points)
+
+
+def _glb_views(size: int) -> bytes:
+    """Return a GLB of very many views, each of all its bytes."""
+    views = [*_VIEWS, *({"buffer": 0, "byteLength": size // 2} for _ in range(size // 80))]
+    return _glb(_SOUND | {"bufferViews": views, "buffers": [{"byteLength": size // 2}]}, _BINARY.ljust(size // 2))
+
+
+def _glb_pictures(_: int) -> bytes:
+    """Return a GLB with a picture of 81 million black pixels, of which a material computes another one."""
+    rows = zlib.compress(bytes((1 + 3 * 9000) * 9000), 9)
+    head = struct.pack(">IIBBBBB", 9000, 9000, 8, 2, 0, 0, 0)
+    chunks = ((b"IHDR", head), (b"IDAT", rows), (b"IEND", b""))
+    png = b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(part)) + kind + part + struct.pack(">I", zlib.crc32(kind + part)) for kind, part in chunks
+    )
+    names = ("diffuseTexture", "specularGlossinessTexture")
+    more: dict[str, object] = {
+        "images": [{"bufferView": 2, "mimeType": "image/png"}],
+        "textures": [{"source": 0}],
+        "materials": [{"extensions": {"KHR_materials_pbrSpecularGlossiness": {name: {"index": 0} for name in names}}}],
+        "bufferViews": [*_VIEWS, {"buffer": 0, "byteOffset": len(_BINARY), "byteLength": len(png)}],
+        "buffers": [{"byteLength": len(_BINARY) + len(png)}],
+    }
+    return _glb(_SOUND | more, _BINARY + png)
 
 
 def _glb_instances(size: int) -> bytes:
@@ -1145,6 +1171,8 @@ _MESHES_OF: dict[str, tuple[str, Callable[[int], bytes]]] = {
     "glb accessor": ("m.glb", _glb_accessor),
     "glb accessors": ("m.glb", _glb_accessors),
     "glb same points": ("m.glb", _glb_same_view),
+    "glb views": ("m.glb", _glb_views),
+    "glb pictures": ("m.glb", _glb_pictures),
     "glb instances": ("m.glb", _glb_instances),
     "glb chain": ("m.glb", _glb_chain),
     "glb doubling": ("m.glb", _glb_doubling),

@@ -158,6 +158,7 @@ def test_a_robot_of_too_many_shapes_is_drawn_as_sticks(tmp_path: Path) -> None:
         ("glb accessor", 3_000),
         ("glb accessors", 3_000),
         ("glb same points", 150_000),
+        ("glb views", 150_000),
         ("glb instances", 150_000),
         ("obj materials", 40_000),
         ("stl solids", 150_000),
@@ -186,6 +187,25 @@ def test_meshes_that_do_not_are_read_and_counted_right(tmp_path: Path, name: str
     assert mesh is not None
     said = counts(path.read_bytes(), path.suffix)
     assert 3 * sum(len(part.faces) for part in mesh.parts) <= max(said.corners, len(path.read_bytes()))
+
+
+def test_pictures_in_a_mesh_are_not_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They may unpack to gigabytes, and some materials make others of them."""
+    import PIL.Image
+
+    looked_at = []
+    monkeypatch.setattr(PIL.Image, "open", looked_at.append)
+    fill("glb pictures", tmp_path, 1_000)
+    (path,) = tmp_path.glob("m.*")
+    mesh = parse_mesh(path.read_bytes(), path.suffix, GREY)
+    assert mesh is not None
+    assert [len(part.faces) for part in mesh.parts] == [1]
+    assert not looked_at
+
+
+@pytest.mark.parametrize("word", [b"solid\ta", b"SOLID a", b"solid"])
+def test_solids_of_an_stl_are_counted_as_they_are_read(word: bytes) -> None:
+    assert counts(b"%s\nendloop\n" % word * (MOST_PARTS + 1), ".stl").parts > MOST_PARTS
 
 
 def test_nodes_that_have_each_other_in_a_circle(tmp_path: Path) -> None:

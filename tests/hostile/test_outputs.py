@@ -74,6 +74,14 @@ def test_markdown_shows_words(results: tuple[Path, Said]) -> None:
     assert "<script" not in re.sub(r"\\.", "", text)
 
 
+def test_reports_read_from_left_to_right(results: tuple[Path, Said]) -> None:
+    """A name with an override of the direction would turn round the numbers behind it in a sentence."""
+    for name in ("report.html", "report.md"):
+        text = (results[0] / name).read_text(encoding="utf-8")
+        assert "\\u202e" in text
+        assert not re.search("[\u202a-\u202e\u2066-\u2069]", text)
+
+
 def test_the_terminal_takes_no_orders(results: tuple[Path, Said]) -> None:
     said = results[1].out + results[1].err
     assert said

@@ -409,6 +409,67 @@ def test_databases_that_compute_what_is_read_are_refused(said: str, inside: bool
         topics(path if inside else file)
 
 
+def with_shared_pages(file: Path, tree: str) -> None:
+    """Put pages above a tree of a database that each point a hundred times to the next: 10^20 times to the last."""
+    import sqlite3
+    import struct
+
+    # A page of 1 kB; the list of tables has the first page, with the header of the file.
+    database = sqlite3.connect(file)
+    database.executescript("PRAGMA journal_mode = DELETE; PRAGMA page_size = 1024; VACUUM")
+    roots = dict(database.execute("SELECT name, rootpage FROM sqlite_master")) | {"sqlite_master": 1}
+    database.close()
+    pages = bytearray(file.read_bytes())
+    top, count = roots[tree], len(pages) // 1024
+    first = (top - 1) * 1024
+    chain, begin = [top, *range(count + 1, count + 11)], 100 if top == 1 else 0
+    # The old root, where it is a leaf, is what they all lead to; of the list of tables, whose cells stand elsewhere
+    # on its page, a leaf of one index that SQLite makes itself.
+    if tree == "sqlite_master":
+        record = b"\x06\x17\x17\x17\x01\x00" + b"index" + b"index" + b"index" + b"\x00"
+        leaf = bytearray(1024)
+        cell = bytes([len(record), 1]) + record
+        leaf[1024 - len(cell) :] = cell
+        leaf[:10] = struct.pack(">BHHHBH", 13, 0, 1, 1024 - len(cell), 0, 1024 - len(cell))
+    else:
+        leaf = pages[first : first + 1024]
+    ends = count + 11
+    for page, below in zip(chain, [*chain[1:], ends], strict=True):
+        start = begin if page == top else 0
+        made = bytearray(1024)
+        cells = b"".join(struct.pack(">IB", below, k + 1) for k in range(100))
+        made[1024 - len(cells) :] = cells
+        places = [1024 - len(cells) + 5 * k for k in range(100)]
+        head = struct.pack(">BHHHBI", 5, 0, 100, places[0], 0, below) + struct.pack(">100H", *places)
+        made[start : start + len(head)] = head
+        if start:
+            made[:start] = pages[:start]
+        at = (page - 1) * 1024
+        pages[at : at + 1024] = made
+    pages[(ends - 1) * 1024 : ends * 1024] = leaf
+    pages[28:32] = struct.pack(">I", ends)
+    file.write_bytes(pages)
+
+
+@pytest.mark.parametrize("tree", ["messages", "topics", "sqlite_master"])
+def test_databases_whose_pages_come_again_and_again_are_refused(tree: str, tmp_path: Path) -> None:
+    """SQLite itself would go through them without end."""
+    file = next(recording(tmp_path, "ros2").glob("*.db3"))
+    with_shared_pages(file, tree)
+    for read in (topics, partial(read_topic, name="/joint_states")):
+        with pytest.raises(MeasurementError, match=r"is a damaged database|is no recording that can be read"):
+            read(file)
+
+
+def test_conditions_of_a_database_are_not_computed(tmp_path: Path) -> None:
+    file = commanded(
+        tmp_path,
+        "CREATE TABLE more(x CHECK (length(hex(zeroblob(x))) > 0)); PRAGMA ignore_check_constraints = 1;"
+        "INSERT INTO more VALUES (400000000), (400000000), (400000000), (400000000), (400000000)",
+    )
+    assert "/joint_states" in {topic.name for topic in topics(file)}
+
+
 _NEXT = f"{80 * '='}\nMSG: "
 _STRUCT = "module a { module msg { struct B { double x; }; }; };"
 

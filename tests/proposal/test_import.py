@@ -1,9 +1,12 @@
 """``calib import``: joints and points that are apart, records and workbooks, as one table that `calib init` reads."""
 
+import io
 import json
 import os
 import time
 import zipfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -442,6 +445,74 @@ def test_cells_of_a_workbook_that_go_back_are_refused(folder: Path) -> None:
     assert said.code == 1
     assert "a cell of column A stands behind one of column B in row 2; save the workbook again." in said.err
     assert run("import", "whole.xlsx", "-o", "out.csv").code == 0
+
+
+def changed_workbook(path: Path, change: Callable[[str, bytes], tuple[str, bytes]]) -> None:
+    """Write a workbook of a text and two numbers, with its parts and their names changed."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (("x [mm]", "y [mm]"), (1, 2), (3, 4)):
+        book.active.append(row)
+    book.save(made := io.BytesIO())
+    with zipfile.ZipFile(made) as whole, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in whole.namelist():
+            archive.writestr(*change(name, whole.read(name).replace(b" />", b"/>")))
+
+
+@pytest.mark.parametrize("old", [b"<f>", b"<x:f>", b"<f t='shared'>"])
+@pytest.mark.parametrize("place", ["xl/worksheets/sheet1.xml", "xl/tables/one.xml"])
+def test_formulas_and_the_order_of_cells_are_looked_at_wherever_a_sheet_is(
+    folder: Path, place: str, old: bytes
+) -> None:
+    end = b"</x:f>" if b"x:" in old else b"</f>"
+    own = old.replace(b"x:f", b'x:f xmlns:x="http://schemas.openxmlformats.org/spreadsheetml/2006/main"')
+
+    def moved(name: str, part: bytes, cell: bytes, new: bytes) -> tuple[str, bytes]:
+        usual = "xl/worksheets/sheet1.xml"
+        return place if name == usual else name, part.replace(usual.encode(), place.encode()).replace(cell, new)
+
+    changed_workbook(folder / "a.xlsx", partial(moved, cell=b"<v>3</v>", new=own + b"1+1" + end))
+    assert "cell A3 has a formula that was never computed" in run("import", "a.xlsx", "-o", "out.csv").err
+    changed_workbook(folder / "a.xlsx", partial(moved, cell=b'r="B3"', new=b'r="A3"'))
+    assert "a cell of column A stands behind one of column A in row 3" in run("import", "a.xlsx", "-o", "out.csv").err
+
+
+def test_one_long_text_in_all_cells_of_a_workbook_is_cut_first() -> None:
+    text, begun = "a " * 1_000_000, time.process_time()
+    assert {workbook._cell(text) for _ in range(300)} == {"a " * 100}
+    assert time.process_time() - begun < 2.0
+
+
+def test_names_of_cells_in_a_workbook_are_not_taken_apart(folder: Path) -> None:
+    """openpyxl looks for areas to print by an expression that takes a time without end."""
+    names = b'<definedNames><definedName name="_xlnm.Print_Area" localSheetId="0">%s</definedName></definedNames>'
+    quotes = names % (b"'" * 20_000) + b"</workbook>"
+    changed_workbook(
+        folder / "a.xlsx",
+        lambda name, part: (name, part.replace(b"<definedNames/>", b"").replace(b"</workbook>", quotes)),
+    )
+    begun = time.process_time()
+    assert len(read_sheet("a.xlsx").rows) == 2
+    assert time.process_time() - begun < 5.0
+
+
+def test_sheets_of_a_workbook_that_are_one_part_are_refused(folder: Path) -> None:
+    more = b"".join(b'<sheet name="a%d" sheetId="1" r:id="rId1" />' % k for k in range(3))
+    xmlns = b'<sheets xmlns:r="http://schemas.openxmlformats.org/officeDocument/2006/relationships">'
+    changed_workbook(
+        folder / "a.xlsx",
+        lambda name, part: (name, part.replace(b"<sheets>", xmlns).replace(b"</sheets>", more + b"</sheets>")),
+    )
+    with pytest.raises(calib.MeasurementError, match="has several sheets that are one part of the file"):
+        read_sheet("a.xlsx")
+
+
+@pytest.mark.parametrize("sign", [b"[", b"&#91;"])
+def test_formats_of_numbers_that_take_long_are_refused(folder: Path, sign: bytes) -> None:
+    code = b'<numFmts><numFmt numFmtId="200" formatCode="%s"/></numFmts>' % (sign * 100_000)
+    changed_workbook(folder / "a.xlsx", lambda name, part: (name, part.replace(b'<numFmts count="0"/>', code)))
+    with pytest.raises(calib.MeasurementError, match="has formats of numbers that are too long"):
+        read_sheet("a.xlsx")
 
 
 @pytest.mark.parametrize(

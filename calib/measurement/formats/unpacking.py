@@ -22,6 +22,8 @@ LARGEST_CHUNK = 256_000_000
 MOST_PER_BYTE, LEAST_TOTAL = 200, 200_000_000
 # As many topics as no recording has.
 MOST_TOPICS = 10_000
+# Steps in which SQLite reads what tables there are; some dozens each are needed.
+_MOST_STEPS = 1_000_000
 _PIECE = 1_000_000
 
 
@@ -132,7 +134,8 @@ def limited(where: Path, size: int) -> Iterator[None]:
 def refuse_computed(path: Path) -> None:
     """Raise MeasurementError for a database of which a view, a trigger or a column computes what is read.
 
-    Raises errors of SQLite for a file that is none.
+    Also where a page is part of more than one tree, or twice of one: SQLite would go through it as often as it is
+    pointed to, which some hundred pages can do without end. Raises errors of SQLite for a file that is none.
     """
     import apsw  # noqa: PLC0415 - an extra
 
@@ -142,6 +145,8 @@ def refuse_computed(path: Path) -> None:
     flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
     database = apsw.Connection(path.absolute().as_uri() + "?immutable=1", flags=flags)
     try:
+        # The list of tables is such a tree as well, and read before pages are counted.
+        database.set_progress_handler(lambda: True, _MOST_STEPS)
         names = []
         for kind, name, root in database.execute("SELECT type, name, rootpage FROM sqlite_master"):
             if kind not in ("table", "index") or (kind == "table" and not root):
@@ -151,6 +156,10 @@ def refuse_computed(path: Path) -> None:
         for name in names:
             if any(hidden for *_, hidden in database.execute("SELECT * FROM pragma_table_xinfo(?)", (name,))):
                 raise MeasurementError(f"{path}: has a computed column; a recording has plain tables alone.")
+        database.set_progress_handler(None)
+        database.execute("PRAGMA ignore_check_constraints = 1")  # which would compute as well
+        if list(database.execute("PRAGMA quick_check(1)")) != [("ok",)]:
+            raise MeasurementError(f"{path}: is a damaged database; what is left of it, .recover of sqlite3 may save.")
         if "topics" in names:
             many, different = next(iter(database.execute("SELECT count(*), count(DISTINCT id) FROM topics")))
             if many > MOST_TOPICS or many != different:

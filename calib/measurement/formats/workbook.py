@@ -25,6 +25,12 @@ _LAST_ROW = 1_048_576
 _PLACE = re.compile(
     rb"""<(?:\w+:)?(?:row\s(?:[^<>]*?\s)?r=["'](\d{1,20})|c\s(?:[^<>]*?\s)?r=["']([A-Z]{1,3})\d{1,20})["']"""
 )
+_FORMULA = re.compile(rb"<(?:\w+:)?f[\s/>]")
+# openpyxl looks for dates in the format of every style, in a time that grows with the square of its length.
+_FORMAT = re.compile(rb"""formatCode\s*=\s*["']([^"'<]*)""")
+_MOST_OF_FORMATS = 2_000_000_000
+# A cell is cut to the first number, but for white space beyond the second: one text may be that of all cells.
+_LONGEST_CELL, _LONGEST_TEXT = 200, 1000
 # With the empty cells before the last one of a row. A file may leave them out; written out they have 10 bytes each.
 _MOST_LOOKED_AT = 20_000_000
 
@@ -35,21 +41,23 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
     A first row of numbers is no header. Formulas are as shown.
     """
     try:
-        import openpyxl  # noqa: PLC0415 - an extra
+        import openpyxl  # noqa: F401, PLC0415 - an extra
     except ImportError as e:
         raise MeasurementError(f"{where}: needs the package openpyxl: pip install 'urdf-calib[formats]'.") from e
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             _refuse_bombs(archive, len(data), where)
-            sheets = [name for name in archive.namelist() if name.startswith("xl/worksheets/")]
-            formulas = any(b"<f" in archive.read(name) for name in sheets)
+            sheets = [archive.read(name).replace(b"\0", b"") for name in _sheets(data, where)]  # UTF-16 as well
+        for sheet in sheets:
+            _refuse_order(sheet, where)
+        formulas = any(map(_FORMULA.search, sheets))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and extensions that are not needed
-            book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
+            book = _opened(data, data_only=True)
             shown = next((k for k, sheet in enumerate(book.worksheets) if sheet.sheet_state == "visible"), 0)
             rows = _rows(book.worksheets[shown], where)
             book.close()
-            uncomputed = _uncomputed(openpyxl, data, shown) if formulas else ""
+            uncomputed = _uncomputed(data, shown) if formulas else ""
     except MeasurementError:
         raise
     except (zipfile.BadZipFile, *DAMAGED) as e:
@@ -79,11 +87,49 @@ def _refuse_bombs(archive: zipfile.ZipFile, size: int, where: str) -> None:
         part = archive.read(member)
         if b"<!DOCTYPE" in part.replace(b"\0", b""):  # whose entities stand for tags that are not counted
             raise MeasurementError(f"{where}: {shown(member.filename)} has a document type, which no workbook needs.")
-        if member.filename.startswith("xl/worksheets/"):
-            _refuse_order(part, where)
+        longest = max(map(len, _FORMAT.findall(part.replace(b"\0", b""))), default=0)
+        if longest**2 * part.count(b"x") > _MOST_OF_FORMATS:
+            raise MeasurementError(f"{where}: {shown(member.filename)} has formats of numbers that are too long.")
         tags += part.count(b"<")
         if tags > max(_LEAST_TAGS, _MOST_TAGS_PER_BYTE * size):
             raise MeasurementError(f"{where}: unpacks to more than {_MOST_TAGS_PER_BYTE} tags for each of its bytes.")
+
+
+def _sheets(data: bytes, where: str) -> list[str]:
+    """Return the parts of a workbook that are its sheets, which may be anywhere in the archive.
+
+    Raises MeasurementError where one part is several sheets: openpyxl reads it for each of them.
+    """
+    reader = _begun(data)
+    known = set(reader.valid_files)
+    found = [rel.target for _, rel in reader.parser.find_sheets() if rel.target in known]
+    if len(set(found)) < len(found):
+        raise MeasurementError(f"{where}: has several sheets that are one part of the file; save the workbook again.")
+    return found
+
+
+def _opened(data: bytes, *, data_only: bool) -> Any:
+    """Return a workbook of openpyxl with texts, formats and sheets, and nothing else.
+
+    Its load_workbook also takes names of cells apart, by expressions that can take a time without end.
+    """
+    from openpyxl.styles.stylesheet import apply_stylesheet  # noqa: PLC0415 - an extra
+
+    reader = _begun(data, data_only=data_only)
+    reader.read_strings()
+    apply_stylesheet(reader.archive, reader.wb)
+    reader.read_worksheets()
+    return reader.wb
+
+
+def _begun(data: bytes, *, data_only: bool = True) -> Any:
+    """Return a reader of openpyxl that knows what is in a workbook."""
+    from openpyxl.reader.excel import ExcelReader  # noqa: PLC0415 - an extra
+
+    reader = ExcelReader(io.BytesIO(data), read_only=True, data_only=data_only, keep_links=False)
+    reader.read_manifest()
+    reader.read_workbook()
+    return reader
 
 
 def _refuse_order(part: bytes, where: str) -> None:
@@ -137,9 +183,9 @@ def _rows(sheet: Any, where: str) -> list[list[str]]:
     return rows
 
 
-def _uncomputed(openpyxl: Any, data: bytes, shown: int) -> str:
+def _uncomputed(data: bytes, shown: int) -> str:
     """Return the first cell of a sheet with a formula and no value, "" where there is none."""
-    books = [openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=only) for only in (False, True)]
+    books = [_opened(data, data_only=only) for only in (False, True)]
     try:
         sheets = [book.worksheets[shown] for book in books]
         for sheet in sheets:
@@ -155,4 +201,7 @@ def _uncomputed(openpyxl: Any, data: bytes, shown: int) -> str:
 
 
 def _cell(value: object) -> str:
-    return "" if value is None else " ".join((repr(value) if isinstance(value, float) else str(value)).split())[:200]
+    if value is None:
+        return ""
+    text = repr(value) if isinstance(value, float) else str(value)[:_LONGEST_TEXT]
+    return " ".join(text.split())[:_LONGEST_CELL]
