@@ -104,3 +104,17 @@ def test_a_board_in_many_pixels_is_looked_for_in_fewer(kind: str, monkeypatch: p
     assert len(found.marks) == len(board.marks)
     true = np.array([2099.5, 1399.5]) + board.marks[found.marks, :2] / 0.03 * square
     np.testing.assert_allclose(found.pixels, true, atol=0.02)
+
+
+def test_what_could_be_a_marker_is_compared_with_those_of_the_board_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dictionary has up to a thousand, each of which is turned four ways."""
+    known: list[int] = []
+    make = cv2.aruco.CharucoDetector
+
+    def kept(board: object) -> object:
+        known.append(len(board.getDictionary().bytesList))  # type: ignore[attr-defined]
+        return make(board)
+
+    monkeypatch.setattr(cv2.aruco, "CharucoDetector", kept)
+    detector(Print("charuco", (7, 5), 0.030, 0.022, "DICT_7X7_1000"))
+    assert known == [17]

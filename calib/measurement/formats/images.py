@@ -230,8 +230,10 @@ def _searched(cv2: Any, grey: Array) -> Array:
 
 
 def _charuco(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Array]]:
-    marker_bits(print_)
-    board = cv2.aruco.CharucoBoard(print_.squares, print_.square, print_.marker, dictionary(print_.dictionary))
+    used, known = len(marker_bits(print_)), dictionary(print_.dictionary)
+    # All that could be a marker is compared with all of these: those of the board alone.
+    known = cv2.aruco.Dictionary(known.bytesList[:used], known.markerSize, known.maxCorrectionBits)
+    board = cv2.aruco.CharucoBoard(print_.squares, print_.square, print_.marker, known)
     found = cv2.aruco.CharucoDetector(board)
 
     def find(grey: Array) -> tuple[IntArray, Array]:
