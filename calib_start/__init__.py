@@ -14,6 +14,8 @@ from types import FrameType
 INTERRUPTED = 130
 # How long a command that was told to end may take to tidy up, in s; then Ctrl-C ends it at once.
 _PATIENCE = 5.0
+# Digits of a terminal's size.
+_LONGEST_WIDTH = 9
 
 
 def main() -> None:
@@ -38,6 +40,10 @@ def _prepare() -> None:
     except FileNotFoundError:
         sys.stderr.write("Error: the folder in which calib was started is not there any more.\n")
         sys.exit(1)
+    # rich takes digits of any script for a number, and ends at those of which Python makes none.
+    for name in ("COLUMNS", "LINES"):
+        if not os.environ.get(name, "").isascii() or len(os.environ.get(name, "")) > _LONGEST_WIDTH:
+            del os.environ[name]
     # Almost nothing that is loaded refers to itself; to look for that every 700 objects takes a tenth of a start.
     gc.set_threshold(50_000)
     # At the end all memory goes back anyway; to look for what refers to itself first takes another tenth.

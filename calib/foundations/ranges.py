@@ -92,7 +92,7 @@ RANGES: Mapping[str, Range] = MappingProxyType(
         "gap": Range(1e-3, 10.0, "s"),
         "relations.distance": Range(0.0, 1e4, "m"),
         "relations.offset": _PLACE,
-        "relations.angle": Range(0.0, 360.0, "deg"),
+        "relations.angle": Range(0, 180, "deg"),
         "relations.sigma": _SIGMA,
         "relations.sigma of an angle": _SIGMA_ANGLE,
     }

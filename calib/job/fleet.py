@@ -25,6 +25,7 @@ from calib.foundations.files import LARGEST_JSON, read_bytes, sha256
 from calib.foundations.folders import reading_folder, real_folder, refuse_unwritable
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.foundations.version import __version__
+from calib.foundations.words import shown
 from calib.job.calibrate import calibrate
 from calib.job.read import Progress
 from calib.results.calibration import versions
@@ -249,18 +250,25 @@ def _on_worker(job: FleetJob, folder: str, version: str) -> Done:
 def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[Done]]:
     """Run jobs over processes of this machine; what is given yields what has become of them, as they end.
 
-    Raises JobError where the system has no processes to give.
+    Raises JobError where the system has no processes to give, or the environment says of them what makes no sense.
     """
-    import joblib  # noqa: PLC0415 - calib must not load it on import
-    from joblib.parallel import BACKENDS  # noqa: PLC0415
+    try:
+        import joblib  # noqa: PLC0415 - calib must not load it on import
+        from joblib.parallel import BACKENDS  # noqa: PLC0415
 
+        cores = joblib.cpu_count()
+    except ValueError as e:
+        raise JobError(
+            "calib fleet: joblib, which shares the work between processes, cannot use what the environment tells it "
+            f"({shown(str(e))}); unset the variables that begin with JOBLIB_ and LOKY_."
+        ) from e
     if "loky" not in BACKENDS:  # joblib found no semaphores
         raise JobError(
             "calib fleet: cannot share work between processes here, as no semaphore can be made; let /dev/shm be "
             "writable and have room, leave JOBLIB_MULTIPROCESSING unset, or run the jobs by calib calibrate."
         )
     # All would be started, also those for which there is no job; two at least, or the job would run in this process.
-    wanted = joblib.cpu_count() if workers is None else workers
+    wanted = cores if workers is None else workers
     count = min(wanted, max(2, len(jobs)))
     started = {"initializer": _serve, "initargs": (os.getpid(),)}
 

@@ -58,6 +58,10 @@ def layout(data: bytes, where: str) -> Layout:
     first = beginning(data, where)[:_LOOKED_AT]
     plain = [line for line in first if not is_comment(line.text)]
     if not plain:
+        if first:
+            raise MeasurementError(
+                f"{where}: begins with comments, and no header line is among the first {_LOOKED_AT} lines."
+            )
         raise MeasurementError(f"{where}: is empty; a table starts with a header line.")
     separator = _separator([line.text for line in plain])
     remarks = [f"cells are separated by {_NAMES[separator]}"] if separator in _NAMES else []

@@ -824,6 +824,7 @@ def _stream(time: Callable[[int], str]) -> Hostile:
 
 
 _PHOTOGRAPHS = ("import", "images", "photos", "--board", "board.toml", "--readings", "readings.csv", "-o", "marks.csv")
+_MARKERS = 'kind = "charuco"\nsquares = [7, 5]\nsquare = "30 mm"\nmarker = "22 mm"\ndictionary = "DICT_4X4_50"\n'
 _CHESSBOARD = 'kind = "chessboard"\nsquares = [6, 5]\nsquare = "30 mm"\n'
 
 
@@ -845,6 +846,56 @@ def _image(folder: Path, size: int) -> None:
     side = int(size**0.5)
     noise = np.random.default_rng(0).integers(0, 256, side * side, dtype=np.uint8).tobytes()
     (folder / "photos" / "p0.pgm").write_bytes(b"P5 %d %d 255\n" % (side, side) + noise)
+
+
+def _picture(drawn: Callable[[int], NDArray[np.bool_]], pixels: Callable[[int], int], board: str = "") -> Hostile:
+    """Return a photograph: what is white, by the length of its side, and its pixels, by the size of its file in bytes.
+
+    The rest of the file is noise.
+    """
+
+    def write(folder: Path, size: int) -> None:
+        _photographs(lambda _: "", lambda _: "p0,1\n").write(folder, size)
+        if board:
+            (folder / "board.toml").write_text(board, encoding="utf-8")
+        side = int(pixels(size) ** 0.5)
+        grey = np.where(drawn(side), np.uint8(255), np.uint8(0))
+        rows = max(size - 60_000, 0) // side
+        grey[side - rows :] = np.random.default_rng(0).integers(0, 256, (rows, side), dtype=np.uint8)
+        lines = np.concatenate([np.zeros((side, 1), dtype=np.uint8), grey], axis=1).tobytes()
+        parts = (
+            b"IHDR" + struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0),
+            b"IDAT" + zlib.compress(lines, 9),
+            b"IEND",
+        )
+        (folder / "photos" / "p0.pgm").unlink()
+        (folder / "photos" / "p0.png").write_bytes(
+            b"\x89PNG\r\n\x1a\n"
+            + b"".join(struct.pack(">I", len(p) - 4) + p + struct.pack(">I", zlib.crc32(p)) for p in parts)
+        )
+
+    return Hostile(write, _PHOTOGRAPHS)
+
+
+def _squares(cell: int) -> Callable[[int], NDArray[np.bool_]]:
+    """Return what draws a board of black and white squares of so many pixels."""
+    return lambda side: (np.arange(side) // cell + np.arange(side)[:, None] // cell) % 2 == 1
+
+
+def _rings(cell: int) -> Callable[[int], NDArray[np.bool_]]:
+    """Return what draws hollow squares, one in each cell of so many pixels."""
+
+    def drawn(side: int) -> NDArray[np.bool_]:
+        near = np.minimum(np.arange(side) % cell, cell - 1 - np.arange(side) % cell)
+        apart = np.minimum(near, near[:, None])
+        return np.asarray((apart < 2) | (apart >= 5))
+
+    return drawn
+
+
+def _most_pixels(size: int) -> int:
+    """Return how many pixels a photograph of so many bytes may have."""
+    return max(19_900_000, 29 * size)
 
 
 def _recording(folder: Path, size: int) -> None:
@@ -1210,6 +1261,11 @@ HOSTILE: dict[str, Hostile] = {
     "readings of photographs": _photographs(lambda _: "", lambda size: repeated(lambda k: f"p{k},{k % 90}\n", size)),
     "keys of a board": _photographs(lambda size: repeated(lambda k: f"k{k} = 1\n", size), lambda _: "p0,1\n"),
     "an image of noise": Hostile(_image, _PHOTOGRAPHS),
+    "an image of rings": _picture(_rings(24), lambda _: 4_000_000, _MARKERS),
+    "an image of small squares": _picture(_squares(8), lambda _: 1_000_000, _MARKERS),
+    "an image of most rings": _picture(_rings(90), _most_pixels, _MARKERS),
+    "an image of most pixels": _picture(_squares(40), _most_pixels),
+    "an image of single pixels": _picture(_squares(1), lambda _: 7_990_000, _MARKERS),
     "a recording that promises": Hostile(_recording, ("import", "one.bag")),
     "definitions of fields": _of_definitions(lambda k: f"bool a{k}\n"),
     "definitions of types": _of_definitions(lambda k: f"bool a\n{80 * '='}\nMSG: a/C{k}\n", tail="bool a\n"),

@@ -231,6 +231,7 @@ def test_numbers_out_of_range_are_sentences() -> None:
         (lambda: calib.plan(model, 2, candidates=with_nan), "row 3 of 'joint_1' is nan"),
         (lambda: calib.error_model(robot, placements="all", priors=calib.Priors(length=1e300)), "1e+300 m"),
         (lambda: Relation("nope", ("a", "b"), 1.0, 1.0), "relation: 'nope' is not one of distance, angle, offset."),  # type: ignore[arg-type]
+        (lambda: Relation("angle", ("a", "b"), 4.7, 1e-4), "the angle is 4.7 rad; allowed is 0 to 180 deg."),
         (lambda: Relation("distance", ("a",), 1.0, 1.0), "Relation: targets is ('a',); needs 2 texts."),  # type: ignore[arg-type]
     ):  # fmt: skip
         with pytest.raises(calib.CalibError) as caught:

@@ -1,5 +1,6 @@
 """What the command line does where a full disk is behind its output, or its folder is gone."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -51,3 +52,17 @@ def test_too_little_memory_is_one_sentence(met: str, tmp_path: Path) -> None:
         "Error: The memory that this process may use does not suffice; see ulimit -v.\n",
     )
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["COLUMNS", "LINES"])
+@pytest.mark.parametrize("size", ["²", "9" * 5000])
+def test_a_terminal_of_a_size_that_is_no_number_is_one_that_says_none(name: str, size: str, tmp_path: Path) -> None:
+    said = subprocess.run(
+        [sys.executable, "-c", _CALIB, "check", "no.toml"],
+        env={**os.environ, name: size},
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert (said.returncode, said.stderr) == (1, "Error: no.toml: there is no such file.\n")

@@ -69,6 +69,23 @@ def test_a_system_without_semaphores_is_told(folder: Path, monkeypatch: pytest.M
     )
 
 
+@pytest.mark.parametrize("told", ["LOKY_MAX_CPU_COUNT=abc", "JOBLIB_START_METHOD=zz", "JOBLIB_MULTIPROCESSING=no"])
+def test_an_environment_that_makes_no_sense_is_told(folder: Path, told: str) -> None:
+    """joblib reads some of it when it is loaded, so that a process of its own shows it."""
+    name, _, value = told.partition("=")
+    done = subprocess.run(
+        [sys.executable, "-c", MAIN, "fleet", *jobs(*GOOD)],
+        env={**os.environ, name: value},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1)
+    assert done.stderr.startswith("Error: calib fleet: joblib, which shares the work between processes, cannot use")
+    assert value in done.stderr
+
+
 def test_the_same_bytes_as_single_runs_and_a_bad_job_stops_nobody(folder: Path) -> None:
     said = run("fleet", *jobs("bad.toml", *GOOD), "--jobs", "2")
     assert (said.code, said.err) == (1, "")

@@ -6,7 +6,7 @@ OpenCV (Apache-2.0, extra ``calib[vision]``) tells which corner is which; where 
 import contextlib
 import os
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,8 +25,8 @@ from calib.measurement.prints import Print
 # What cameras write, by the ends of names.
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".webp")
 LARGEST_IMAGE, MOST_PIXELS, SMALLEST_SIDE = 200_000_000, 160_000_000, 16
-# To find a board takes 33 bytes for every pixel. A photograph has some ten pixels for a byte of its file at most; more
-# than thirty, of many, are of a file made to swell.
+# A photograph has some ten pixels for a byte of its file at most; more than thirty, of many, are of a file made to
+# swell.
 _FEW_PIXELS, _PIXELS_OF_A_BYTE = 20_000_000, 30
 # OpenCV looks at this when it is loaded, and then before it unpacks an image.
 _BOUND = "OPENCV_IO_MAX_IMAGE_PIXELS"
@@ -41,6 +41,12 @@ _ORIENTATION = (274, 3)
 _DAMAGED = "Corrupt JPEG data: "
 # Pixels looked at around a corner, as a share of the way to what is printed next to it.
 _SHARE = 0.85
+# OpenCV takes 55 bytes for every pixel in which it looks for a chessboard, and for markers as many as 50: of more, it
+# gets a smaller copy.
+MOST_SEARCHED = 8_000_000
+# OpenCV compares each with each what could be a marker: only the longest outlines are looked at. A board of a thousand
+# markers has some ten for each.
+MOST_OUTLINES = 15_000
 # How near to its horizon a mark of a board may lie, where its middle is at 1.
 _HORIZON = 1e-6
 # Below so many corners a photograph tells no pose worth having.
@@ -199,9 +205,12 @@ def detector(print_: Print) -> Callable[[Array], Detection]:
     find = _charuco(cv2, print_) if print_.kind == "charuco" else _chessboard(cv2, print_)
 
     def detect(grey: Array) -> Detection:
-        marks, pixels = find(grey)
+        searched = _searched(cv2, grey)
+        marks, pixels = find(searched)
         if len(marks) < 4:
             return NOTHING_SEEN
+        # Pixels are counted from the middle of the first one.
+        pixels = (pixels + 0.5) * (np.array(grey.shape[::-1]) / searched.shape[::-1]) - 0.5
         along, free = _edges(print_, marks, pixels)
         corners = refine(grey, pixels, along, _SHARE * free)
         good = corners.good & (free * _SHARE >= LEAST_RADIUS * 0.8)
@@ -213,18 +222,77 @@ def detector(print_: Print) -> Callable[[Array], Detection]:
 NOTHING_SEEN = Detection(np.zeros(0, dtype=np.intp), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
 
 
+def _searched(cv2: Any, grey: Array) -> Array:
+    """Return an image in which a board is looked for: itself, or a smaller copy of a large one."""
+    share = min(1.0, float(np.sqrt(MOST_SEARCHED / grey.size)))
+    h, w = (max(int(side * share), 1) for side in grey.shape)
+    return grey if share == 1.0 else np.asarray(cv2.resize(grey, (w, h), interpolation=cv2.INTER_AREA))
+
+
 def _charuco(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Array]]:
-    marker_bits(print_)
-    board = cv2.aruco.CharucoBoard(print_.squares, print_.square, print_.marker, dictionary(print_.dictionary))
+    used, known = len(marker_bits(print_)), dictionary(print_.dictionary)
+    # All that could be a marker is compared with all of these: those of the board alone.
+    known = cv2.aruco.Dictionary(known.bytesList[:used], known.markerSize, known.maxCorrectionBits)
+    board = cv2.aruco.CharucoBoard(print_.squares, print_.square, print_.marker, known)
     found = cv2.aruco.CharucoDetector(board)
 
     def find(grey: Array) -> tuple[IntArray, Array]:
-        corners, ids, _, _ = found.detectBoard(grey)
+        parameters = cv2.aruco.DetectorParameters()
+        with _one_thread(cv2):
+            parameters.minMarkerPerimeterRate = _least_outline(cv2, grey, parameters) / max(grey.shape)
+            found.setDetectorParameters(parameters)
+            corners, ids, _, _ = found.detectBoard(grey)
         if ids is None or corners is None:
             return NOTHING_SEEN.marks, NOTHING_SEEN.pixels
         return ids.ravel().astype(np.intp), corners.reshape(-1, 2).astype(np.float64)
 
     return find
+
+
+@contextlib.contextmanager
+def _one_thread(cv2: Any) -> Iterator[None]:
+    """Let OpenCV work in one thread: each would keep the outlines of one threshold, and pieces several times."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def _least_outline(cv2: Any, grey: Array, parameters: Any) -> float:
+    """Return the length, in px, of the shortest outlines that are looked at, so that they are no more than allowed.
+
+    Outlines are those of what is dark, and of holes in it, by the thresholds of OpenCV's detector of markers.
+    """
+    least = float(parameters.minMarkerPerimeterRate * max(grey.shape))
+    first, last = parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax
+    darks = [
+        cv2.adaptiveThreshold(
+            grey, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, window, parameters.adaptiveThreshConstant
+        )
+        for window in range(first, last + 1, parameters.adaptiveThreshWinSizeStep)
+    ]
+    # An outline is no longer than the sides of pixels in it, of which each is in one: mostly there is room for few.
+    changes = sum(
+        int(cv2.countNonZero(cv2.absdiff(a, b)))
+        for dark in darks
+        for a, b in ((dark[1:], dark[:-1]), (dark[:, 1:], dark[:, :-1]))
+    )
+    if changes <= MOST_OUTLINES * least:
+        return least
+    lengths = [_lengths(cv2, dark, 8, 0) for dark in darks] + [_lengths(cv2, 255 - dark, 4, 4) for dark in darks]
+    longest = np.sort(np.concatenate([some[some >= least] for some in lengths]))[::-1]
+    return least if len(longest) <= MOST_OUTLINES else float(longest[MOST_OUTLINES] + 1)
+
+
+def _lengths(cv2: Any, part: Array, connected: int, around: int) -> IntArray:
+    """Return how long the outlines of the connected pieces of a part of an image are, in px, if they are convex.
+
+    They are no longer than the sides of the rectangle around them; that of a hole lies ``around`` it.
+    """
+    across_down = cv2.connectedComponentsWithStats(part, connectivity=connected)[2][1:, 2:4]
+    return np.asarray(2 * (across_down.sum(axis=1) + around), dtype=np.intp)
 
 
 def _chessboard(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Array]]:
