@@ -1,9 +1,11 @@
 """Recordings of ROS 1, ROS 2 and MCAP, written here, and logs of others, as tables."""
 
+import bz2
 import csv
 import io
 import json
 import os
+import struct
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -340,8 +342,6 @@ def test_packed_recordings_are_read_as_others_and_no_further_than_their_limit(
 
 
 def test_unpacking_stops_at_what_a_recording_may_hold_in_all(tmp_path: Path) -> None:
-    import bz2
-
     piece = bz2.compress(bytes(100_000_000))
     unpacker = unpacking.Unpacker(tmp_path, 1000)
     for _ in range(2):
@@ -350,6 +350,90 @@ def test_unpacking_stops_at_what_a_recording_may_hold_in_all(tmp_path: Path) -> 
         unpacker.unpacked(bz2.BZ2Decompressor, piece)
     with pytest.raises(ValueError, match="ends too early"):
         unpacking.Unpacker(tmp_path, 1000).unpacked(bz2.BZ2Decompressor, piece[:-8])
+
+
+def _field(name: bytes, value: bytes) -> bytes:
+    return struct.pack("<I", len(name) + 1 + len(value)) + name + b"=" + value
+
+
+def _record(op: int, header: bytes, data: bytes) -> bytes:
+    header += _field(b"op", bytes([op]))
+    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
+
+
+def of_ros1(path: Path, inside: bytes, entries: int = 1, *, after: bytes = b"") -> Path:
+    """A bag of one chunk that has ``inside`` packed by bz2, to whose beginning so many entries of its index point."""
+    packed = bz2.compress(inside) + after
+    began = struct.pack("<II", 1, 0)
+
+    def head(index: int) -> bytes:
+        counts = _field(b"conn_count", struct.pack("<I", 1)) + _field(b"chunk_count", struct.pack("<I", 1))
+        return b"#ROSBAG V2.0\n" + _record(3, _field(b"index_pos", struct.pack("<Q", index)) + counts, b"")
+
+    size = _field(b"compression", b"bz2") + _field(b"size", struct.pack("<I", len(inside)))
+    chunk = _record(5, size, packed)
+    of_index = [_field(name, struct.pack("<I", n)) for name, n in ((b"ver", 1), (b"conn", 0), (b"count", entries))]
+    index = _record(4, b"".join(of_index), entries * struct.pack("<III", 1, 0, 0))
+    topic = _field(b"conn", struct.pack("<I", 0)) + _field(b"topic", b"/t")
+    definition = _field(b"type", b"geometry_msgs/Point") + _field(b"md5sum", b"4a842b65f413084dc2b10fb484ea7f17")
+    connection = _record(7, topic, definition + _field(b"message_definition", b"float64 x\nfloat64 y\nfloat64 z\n"))
+    times = _field(b"start_time", began) + _field(b"end_time", began) + _field(b"count", struct.pack("<I", 1))
+    place = _field(b"ver", struct.pack("<I", 1)) + _field(b"chunk_pos", struct.pack("<Q", len(head(0))))
+    info = _record(6, place + times, struct.pack("<II", 0, entries))
+    path.write_bytes(head(len(head(0)) + len(chunk) + len(index)) + chunk + index + connection + info)
+    return path
+
+
+MESSAGE = _record(2, _field(b"conn", bytes(4)) + _field(b"time", struct.pack("<II", 1, 0)), bytes(24))
+
+
+LARGE = _record(2, _field(b"conn", bytes(4)) + _field(b"time", struct.pack("<II", 1, 0)), bytes(200_000))
+
+
+@pytest.mark.parametrize(
+    ("inside", "entries", "after", "says"),
+    [
+        # Of a million and 50 entries a file has 7 kB.
+        (1000 * _record(7, b"", b"") + MESSAGE, 20, b"", "more records than a recording"),
+        (MESSAGE, 1, 10_000 * bz2.compress(b""), "more records than a recording"),
+        (_record(2, _field(b"", bytes(6000)), b""), 1, b"", "a header of more than 5000 bytes"),
+        (LARGE, 100, b"", "in all to more than 200 times its size"),
+    ],
+    ids=("records", "streams", "header", "bytes"),
+)
+def test_what_an_index_of_ros1_points_to_is_read_no_more_often_than_its_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, inside: bytes, entries: int, after: bytes, says: str
+) -> None:
+    monkeypatch.setattr(unpacking, "LEAST_RECORDS", 5000)
+    monkeypatch.setattr(unpacking, "RECORDS_PER_BYTE", 0)
+    monkeypatch.setattr(unpacking, "LARGEST_HEADER", 5000)
+    monkeypatch.setattr(unpacking, "LEAST_TOTAL", 10_000_000)
+    assert [one.messages for one in topics(of_ros1(tmp_path / "good.bag", MESSAGE, 3))] == [3]
+    path = of_ros1(tmp_path / "small.bag", inside, entries, after=after)
+    with pytest.raises(MeasurementError, match=says):
+        topics(path)
+
+
+def test_empty_records_of_mcap_are_counted(tmp_path: Path) -> None:
+    """A file of 390 kB had ten million of them, which were gone through four times."""
+    unpacker = unpacking.Unpacker(tmp_path, 1000)
+    many = bytes(9 * unpacking.LEAST_RECORDS)
+    assert unpacker.counted(many) is many
+    with pytest.raises(MeasurementError, match="has more records than a recording of its size can have"):
+        unpacker.counted(bytes(9))
+    # An end that is no whole record is left to the reader.
+    assert unpacking.Unpacker(tmp_path, 1000).counted(many + b"12345678")
+
+
+def test_chunks_of_mcap_are_counted_where_they_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for packed in ("", "STORAGE"):
+        path = recording(tmp_path / packed, "mcap", packed)
+        assert topics(path)
+        with monkeypatch.context() as patch:
+            patch.setattr(unpacking, "LEAST_RECORDS", 50)
+            patch.setattr(unpacking, "RECORDS_PER_BYTE", 0)
+            with pytest.raises(MeasurementError, match="has more records"):
+                topics(path)
 
 
 ENDLESS = "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n) SELECT k AS id, 1 AS topic_id, "

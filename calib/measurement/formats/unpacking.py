@@ -6,9 +6,11 @@ recording is open: they stop at a size. A database is read for what it declares 
 """
 
 import bz2
+import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from os import SEEK_CUR
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,6 +22,13 @@ from calib.measurement.formats.message_types import Definitions
 LARGEST_CHUNK = 256_000_000
 # All that is unpacked, for each byte that is read, and at least: logs of an arm at rest shrink to a hundredth.
 MOST_PER_BYTE, LEAST_TOTAL = 200, 200_000_000
+# All records in chunks of MCAP and of ROS 1, for each byte of the file, and at least: a microsecond or two each.
+RECORDS_PER_BYTE, LEAST_RECORDS = 1, 1_000_000
+# Of a record of ROS 1, its names and small values; and so many bytes of it cost as much as one more.
+LARGEST_HEADER, _BYTES_OF_A_RECORD = 1_000_000, 50
+# A stream in a chunk by itself, and so many bytes that are handed on to the next, cost as much as a record.
+_BYTES_OF_A_STREAM = 10_000
+_LENGTH = struct.Struct("<xQ")
 # As many topics as no recording has.
 MOST_TOPICS = 10_000
 # Steps in which SQLite reads what tables there are; some dozens each are needed.
@@ -33,11 +42,13 @@ class Unpacker:
     def __init__(self, where: Path, size: int) -> None:
         self._where = where
         self._left = max(LEAST_TOTAL, MOST_PER_BYTE * size)
+        self._records_left = max(LEAST_RECORDS, RECORDS_PER_BYTE * size)
 
     def unpacked(self, make: Callable[[], Any], data: bytes) -> bytes:
         """Return what decompressors as those of the standard library make of the streams in ``data``."""
         most, pieces, size = min(LARGEST_CHUNK, self._left), list[bytes](), 0
         while data:
+            self._take_records(1 + len(data) // _BYTES_OF_A_STREAM)
             made, given = make(), data
             while not made.eof:
                 piece, given = made.decompress(given, max_length=_PIECE), b""
@@ -52,11 +63,30 @@ class Unpacker:
         return b"".join(pieces)
 
     def as_it_is(self, data: bytes) -> bytes:
-        """Return a chunk that is not packed: an index may point to the same one many times."""
+        """Return a chunk, or a message, that is not packed: an index may point to the same one many times."""
         self._left -= len(data)
         if self._left < 0:
             raise self._too_much()
         return data
+
+    def counted(self, chunk: bytes) -> bytes:
+        """Return a chunk of MCAP, whose records are counted before the reader goes through them."""
+        at = 0
+        while at + _LENGTH.size <= len(chunk):
+            at += _LENGTH.size + _LENGTH.unpack_from(chunk, at)[0]
+            self._take_records(1)
+        return chunk
+
+    def header(self, size: int) -> None:
+        """Count a record of ROS 1, whose header of this size is to be read: an index may point to one many times."""
+        if size > LARGEST_HEADER:
+            raise MeasurementError(f"{self._where}: has a header of more than {LARGEST_HEADER} bytes.")
+        self._take_records(1 + size // _BYTES_OF_A_RECORD)
+
+    def _take_records(self, many: int) -> None:
+        self._records_left -= many
+        if self._records_left < 0:
+            raise MeasurementError(f"{self._where}: has more records than a recording of its size can have.")
 
     def _too_much(self) -> MeasurementError:
         return MeasurementError(
@@ -87,8 +117,13 @@ def limited(where: Path, size: int) -> Iterator[None]:
         return unpacker.as_it_is(data)
 
     ros1 = {"none": plain, "bz2": one(bz2.BZ2Decompressor), "lz4": one(LZ4FrameDecompressor)}
-    mcap = {"": plain, "lz4": ros1["lz4"], "zstd": one(zstd.ZstdDecompressor)}
-    of_messages = SimpleNamespace(decompress=mcap["zstd"], open=refused)
+    of_zstd = one(zstd.ZstdDecompressor)
+
+    def of_records(unpack: Callable[..., bytes]) -> Callable[..., bytes]:
+        return lambda data, _=0: unpacker.counted(unpack(data))
+
+    mcap = {"": of_records(plain), "lz4": of_records(ros1["lz4"]), "zstd": of_records(of_zstd)}
+    of_messages = SimpleNamespace(decompress=of_zstd, open=refused)
 
     def database(path: Any) -> Any:
         refuse_computed(Path(str(path)))
@@ -106,6 +141,18 @@ def limited(where: Path, size: int) -> Iterator[None]:
             if self.read > size:
                 raise MeasurementError(f"{where}: has indexes that are larger than the file.")
 
+    def bytes_of(read: Callable[[Any, int], bytes], source: Any, many: int) -> bytes:
+        return unpacker.as_it_is(read(source, many))
+
+    class Header(of_ros1.Header):  # type: ignore[misc]
+        """Is read only where it is not too large, and not too often."""
+
+        @classmethod
+        def read(cls, src: Any, expect: Any = None) -> Any:
+            unpacker.header(of_ros1.read_uint32(src))
+            src.seek(-4, SEEK_CUR)
+            return super().read(src, expect)
+
     definitions = Definitions(where)
     parsers = {
         "Reader1": Indexed,
@@ -115,6 +162,7 @@ def limited(where: Path, size: int) -> Iterator[None]:
 
     tables: tuple[tuple[Any, dict[str, Any]], ...] = (
         (vars(anyreader), parsers),
+        (vars(of_ros1), {"Header": Header, "read_bytes": partial(bytes_of, of_ros1.read_bytes)}),
         (of_ros1.decompressors, ros1),
         (of_mcap.DECOMPRESSORS, mcap),
         (vars(of_ros2), {"zstd": of_messages}),
