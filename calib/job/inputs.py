@@ -13,7 +13,7 @@ from calib.job import refusals, tables
 from calib.job.read import Progress
 from calib.job.schema import Job, MeasurementsSection
 from calib.job.stated import load_arm, meshes_not_found
-from calib.measurement.checks import Finding, copied_tables, refuse_findings, table_findings
+from calib.measurement.checks import Finding, copied_tables, refuse_findings, table_findings, unreached
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Robot
 
@@ -103,6 +103,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     refusals.refuse_no_noise(job, sets, path)
     doubts += [
         *refusals.weights_not_known(model, sets),
+        *(finding for _, data in before for finding in unreached(data)),
         *meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf),
     ]
     findings = doubts + [finding for data in sets for finding in table_findings(data, robot.readings, robot.reach)]

@@ -92,6 +92,18 @@ def table_findings(measurements: Measurements, readings: Sequence[Reading], reac
     )
 
 
+def unreached(m: Measurements) -> tuple[Finding, ...]:
+    """Return a warning where ``in_order`` leaves out more rows of a table than the first one."""
+    if m.unreached < 2:
+        return ()
+    what = "rows" if m.other is None else "pairs"
+    sentence = (
+        f"{m.where}: in_order leaves out {m.unreached} {what}, before a joint has moved: nothing tells from which side "
+        "that pose was reached; begin with a motion."
+    )
+    return (Finding.warning("rows-left-out", sentence),)
+
+
 # ---- readings
 
 

@@ -184,7 +184,9 @@ def _reached(found: Measurements) -> Measurements:
     for end in found.ends:
         approach = end.conditions.approach
         known &= approach is not None and np.any(approach != 0.0, axis=1)
-    return found.subset(known).with_own_names() if known.any() else found
+    if not known.any():
+        return found
+    return replace(found.subset(known).with_own_names(), unreached=int(np.count_nonzero(~known)))
 
 
 _SIGMAS: Mapping[Dimension, str] = {

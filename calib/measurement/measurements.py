@@ -69,6 +69,7 @@ class Measurements:
     ``tip``: the link that carries the tools; the robot's own where it is empty. ``target_links``: links of the robot
     that carry targets, by the targets' names; others stand on the floor. ``absent``: readings that no column tells,
     since they do not move the tip; they are 0. ``unused``: joints whose columns nothing needs.
+    ``unreached``: how many rows were left out, of which the order of rows tells no side.
     ``times`` (N,): when rows were measured, in s, None where no column says. ``stream``: of rows whose readings another
     stream has, by its own clock; ``readings`` are then those by the clock as it is known so far.
     """
@@ -100,6 +101,7 @@ class Measurements:
     target_links: Mapping[str, str] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
+    unreached: int = 0
     points: Array | None = None
     times: Array | None = None
     stream: Stream | None = None

@@ -20,6 +20,7 @@ from calib.machine.identified import outside_identified
 from calib.machine.model_file import machine_files, model_json
 from calib.machine.of_fit import machine_of
 from calib.machine.tool_uncertainty import tool_uncertainty
+from calib.measurement.checks import unreached
 from calib.measurement.table import table_from_arrays
 from calib.robot.conditions import Conditions, in_order, joined, ordinary
 from tests.support import jacobians, machines
@@ -158,12 +159,13 @@ def test_rows_before_a_joint_has_moved_are_left_out_with_their_pairs() -> None:
     assert calib.read_measurements(rested, lab.robot, in_order=True).lines[0] == 2 + int(
         calib.read_measurements(told, lab.robot).lines[0]
     )
+    assert calib.read_measurements(rested, lab.robot, in_order=True).unreached == 2
     still = {name: np.repeat(values[:1], 3) for name, values in told.items()}
     assert len(calib.read_measurements(still, lab.robot, in_order=True)) == 3
     pairs = {k: v for k, v in told.items() if k not in ("x [m]", "y [m]", "z [m]")}
     pairs |= {"length [m]": np.repeat(0.3, 8), "pair": ["a", "b", "a", "b", "c", "c", "d", "d"]}
     found = calib.read_measurements(pairs, lab.robot, "pair_distance", in_order=True, sigma=SIGMA)
-    assert len(found) == 3
+    assert (len(found), unreached(found)) == (3, ())
 
 
 @pytest.mark.parametrize(("column", "names"), [("tool", "tools"), ("setup", "setups")])

@@ -47,6 +47,22 @@ def test_a_pose_that_was_visited_again_stays_with_itself(tmp_path: Path) -> None
     assert sum(map(len, (*inputs.identify, *inputs.validate))) == 120
 
 
+def test_rows_before_the_first_motion_are_told_once(tmp_path: Path) -> None:
+    """The side of the first row is never known; an arm that rests at its first pose lost twenty rows in silence."""
+    job = holding_out(tmp_path)
+    edit(JOB, (BEGIN, f"{BEGIN}in_order = true\n"))(tmp_path)
+    assert "rows-left-out" not in [finding.code for finding in load(job).findings]
+    table = tmp_path / TABLE
+    rows = [line for line in table.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    table.write_text("\n".join([rows[0], *([rows[1]] * 19), *rows[1:]]) + "\n", encoding="utf-8")
+    inputs = load(job)
+    assert sum(map(len, (*inputs.identify, *inputs.validate))) == 59
+    assert [finding.sentence for finding in inputs.findings if finding.code == "rows-left-out"] == [
+        f"{table}: in_order leaves out 20 rows, before a joint has moved: nothing tells from which side that pose was "
+        "reached; begin with a motion."
+    ]
+
+
 @pytest.mark.parametrize("share", ["0.0", "1.0", "2", "-0.5", '"0.25"', "true"])
 def test_a_share_that_is_none_is_refused(share: str, tmp_path: Path) -> None:
     said = run("check", holding_out(tmp_path, share))
