@@ -305,6 +305,10 @@ def joints_by_name(table: RawTable, readings: Sequence[str], among: frozenset[in
         ]
         if whole:
             return whole
+    # Of readings that only capitals or signs tell apart, the columns are those that are called just so.
+    called = {table.columns[k].name: k for k in reversed(in_order)}
+    if readings and all(name in called for name in readings):
+        return [Joints(tuple(called[name] for name in readings), _rank(()), "by their names", True)]
     return []
 
 

@@ -9,6 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
 import calib
@@ -126,3 +127,22 @@ def test_joints_in_capitals_stand_beside_a_point_in_small_letters(titles: str, t
     assert found.questions == ()
     assert found.tables[0].columns.names == {f"{name} [mm]": f"{name} [mm]" for name in "XYZxyz"}
     assert found.tables[0].columns.ignore == ()
+
+
+@pytest.mark.parametrize("names", [("A", "a", "B", "b", "C", "c"), ("\u0131", "i", "I", "\u0130", "\u017f", "s")])
+def test_columns_that_are_called_just_as_joints_are_these_whatever_is_alike(
+    names: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Of joints that capitals alone tell apart, only the first one was found, in an arm that ended there."""
+    axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
+    joints = [(name, "revolute", "0.1 0 0.3", "0 0 0", axis) for name, axis in zip(names, axes, strict=True)]
+    (tmp_path / "arm.urdf").write_text(urdf(*joints), encoding="utf-8")
+    q = np.random.default_rng(3).uniform(-1.5, 1.5, (40, 6))
+    at = 1e3 * calib.load_robot(tmp_path / "arm.urdf", "tip").tips(q)[:, :3, 3]
+    titles = ",".join([*(f"{name} [deg]" for name in names), "x [mm],y [mm],z [mm]"])
+    np.savetxt(
+        tmp_path / "t.csv", np.hstack([np.degrees(q), at]), delimiter=",", header=titles, comments="", encoding="utf-8"
+    )
+    found = calib.measuring.propose(tmp_path / "arm.urdf", [tmp_path / "t.csv"])
+    assert (found.robot.tip, found.tables[0].columns.ignore) == ("tip", ())
+    assert f"{names[0]} [deg] to {names[-1]} [deg] are" in found.reasons[0]
