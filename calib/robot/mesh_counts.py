@@ -126,8 +126,11 @@ def _of_geometry(geometry: Element) -> Counts:
             inputs = [one for one in primitive.children if _tag(one) == "input"]
             each = max(1 + max((int(one.attributes.get("offset", "0")) for one in inputs), default=0), 1)
             words = [len(p.text.split()) for p in _below(primitive, "p")]
-            # A polygon of n corners is n - 2 triangles.
-            corners += sum(words) // each * (1 if kind in ("triangles", "lines") else 3)
+            # Polygons may say that they have more corners than they have; one of n corners is n - 2 triangles.
+            told = [int(word) for count in _below(primitive, "vcount") for word in count.text.split()]
+            if min(told, default=0) < 0:
+                raise ValueError("a negative count")
+            corners += max(sum(words) // each, sum(told)) * (1 if kind in ("triangles", "lines") else 3)
             parts += 1
     return Counts(corners, parts)
 

@@ -208,6 +208,16 @@ def test_solids_of_an_stl_are_counted_as_they_are_read(word: bytes) -> None:
     assert counts(b"%s\nendloop\n" % word * (MOST_PARTS + 1), ".stl").parts > MOST_PARTS
 
 
+def test_polygons_of_a_mesh_are_as_large_as_they_say(tmp_path: Path) -> None:
+    """In a file of 900 bytes, polygons of 1000 million corners took all memory."""
+    fill("dae triangles", tmp_path, 3_000)
+    said = (tmp_path / "m.dae").read_bytes().replace(b"<p>", b"<vcount>1000000000</vcount><p>")
+    said = said.replace(b"<triangles", b"<polylist").replace(b"</triangles", b"</polylist")
+    assert counts(said, ".dae").corners >= 3_000_000_000
+    assert parse_mesh(said, ".dae", GREY) is None
+    assert parse_mesh(said.replace(b"1000000000", b"2000 -1997"), ".dae", GREY) is None
+
+
 def test_nodes_that_have_each_other_in_a_circle(tmp_path: Path) -> None:
     fill("dae doubling", tmp_path, 400)
     path = tmp_path / "m.dae"
