@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, IntArray, read_only
@@ -276,3 +277,11 @@ def refuse_unfollowed(robot: Robot, conditions: Conditions) -> None:
         f"{blind.name} takes all masses as they were when it was identified, and cannot follow another payload; leave "
         "the payload out, or calibrate with terms of stated masses, such as elastic."
     )
+
+
+def readings_of(machine: CalibratedMachine, readings: npt.ArrayLike) -> Array:
+    """Return readings (N, nr) of a machine, one row or more. Raises MeasurementError for others."""
+    found, width = np.asarray(readings, dtype=np.float64), len(machine.robot.readings)
+    if found.ndim != 2 or found.shape[1] != width or not len(found) or not np.isfinite(found).all():
+        raise MeasurementError(f"readings of shape {found.shape}: needs finite numbers (N, {width}), one row or more.")
+    return found

@@ -9,9 +9,8 @@ import numpy as np
 
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
-from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DISPLAY_OF
-from calib.machine.calibrated import CalibratedMachine
+from calib.machine.calibrated import CalibratedMachine, readings_of
 from calib.machine.turns import turned_towards
 from calib.measurement.measurements import End
 from calib.robot.conditions import NO_CONDITIONS, Conditions
@@ -61,22 +60,22 @@ def outside_identified(
     count where they bring back all that follows the reading. A model is only proven where it was measured: outside, the
     stated sigmas hold only if the model is right. Raises MeasurementError for readings of another shape.
     """
-    found, width = np.asarray(readings, dtype=np.float64), len(machine.robot.readings)
-    if found.ndim != 2 or found.shape[1] != width or not len(found) or not np.isfinite(found).all():
-        raise MeasurementError(f"readings of shape {found.shape}: needs finite numbers (N, {width}), one row or more.")
+    found = readings_of(machine, readings)
     said: list[str] = []
     known = machine.known_uncertainty
     for j, (reading, (low, high)) in enumerate(zip(machine.robot.readings, known.identified, strict=True)):
         values = turned_towards(found[:, j], low, high, reading.turns)
         factor, unit = DISPLAY_OF[reading.dimension]
-        said += _outside(reading.name, values * factor, (low * factor, high * factor), unit)
+        ends = low * factor, high * factor
+        said += _outside(reading.name, values * factor, ends, found[:, j] * factor, unit)
     for name, values in _followed(machine.robot, conditions, len(found)):
         if name in known.conditions:
-            said += _outside(f"The {name}", values, known.conditions[name], _UNITS[name])
+            said += _outside(f"The {name}", values, known.conditions[name], values, _UNITS[name])
     return tuple(said)
 
 
-def _outside(name: str, values: Array, ends: tuple[float, float], unit: str) -> Iterator[str]:
+def _outside(name: str, values: Array, ends: tuple[float, float], told: Array, unit: str) -> Iterator[str]:
+    """Yield a sentence where values (N,) are beyond the ends; ``told``: as they were given, in whatever turn."""
     low, high = ends
     slack = _SLACK * (high - low) + _ROUNDING * max(abs(low), abs(high))
     beyond = np.maximum(low - slack - values, values - high - slack)
@@ -86,5 +85,5 @@ def _outside(name: str, values: Array, ends: tuple[float, float], unit: str) -> 
     span = f"{low:.4g} to {high:.4g}" if high > low else f"{low:.4g}"
     yield (
         f"{name} is outside the range it was identified in, {span} {unit}, in {np.count_nonzero(beyond > 0.0)} of "
-        f"{len(values)} rows; the farthest is {values[worst]:.4g} {unit}."
+        f"{len(values)} rows; the farthest is {told[worst]:.4g} {unit}."
     )

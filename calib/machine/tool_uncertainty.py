@@ -15,9 +15,8 @@ import numpy.typing as npt
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
-from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, triangle
-from calib.machine.calibrated import CalibratedMachine, refuse_unfollowed
+from calib.machine.calibrated import CalibratedMachine, readings_of, refuse_unfollowed
 from calib.machine.grid import axes_of
 from calib.machine.residual_model import ResidualModel
 from calib.machine.tool_motion import jacobian_of
@@ -50,7 +49,7 @@ def tool_uncertainty(
     None, reached from neither side, at 20 degC, no torque measured. Raises MeasurementError for a machine without known
     uncertainty, an unknown tool, readings that are not the robot's, or conditions that lack what a joint term needs.
     """
-    found, known = _readings(machine, readings), machine.known_uncertainty
+    found, known = readings_of(machine, readings), machine.known_uncertainty
     if conditions is not None:
         refuse_lacking(machine.robot, conditions, "the readings")
         refuse_unfollowed(machine.robot, conditions)
@@ -69,7 +68,7 @@ def tool_errors(
     column j is what one standard deviation of such an error does to every pose, axes as of :class:`ToolUncertainty`.
     Scatter from pose to pose comes on top. Arguments and errors as of :func:`tool_uncertainty`.
     """
-    found = _readings(machine, readings)
+    found = readings_of(machine, readings)
     return link_errors(machine, found, tool, tool_pose=True, conditions=conditions or ordinary(found))[0]
 
 
@@ -94,13 +93,9 @@ def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
     """
     size, known = data.sigma.shape[1], machine.known_uncertainty
     found = np.zeros((len(data), size, known.factor.shape[1]))
-    for s, setup in enumerate(data.setups):
-        there = machine.at(setup) if np.any(data.setup == s) else machine
-        for k, tool in enumerate(data.tools):
-            rows = np.flatnonzero((data.tool == k) & (data.setup == s))
-            if len(rows):
-                own = data.conditions.subset(rows)
-                found[rows] = tool_errors(there, data.readings[rows], tool, conditions=own)[:, :size]
+    for setup, tool, rows in _by_pair(data):
+        own = data.conditions.subset(rows)
+        found[rows] = tool_errors(machine.at(setup), data.readings[rows], tool, conditions=own)[:, :size]
     return found
 
 
@@ -369,11 +364,4 @@ def tool_motions(
         for start in range(0, len(readings), _BLOCK):
             rows = slice(start, start + _BLOCK)
             (found[rows],) = view.at(readings[rows], told.subset(rows)).motions(changes)
-    return found
-
-
-def _readings(machine: CalibratedMachine, readings: npt.ArrayLike) -> Array:
-    found, width = np.asarray(readings, dtype=np.float64), len(machine.robot.readings)
-    if found.ndim != 2 or found.shape[1] != width or not len(found) or not np.isfinite(found).all():
-        raise MeasurementError(f"readings of shape {found.shape}: needs finite numbers (N, {width}), one row or more.")
     return found

@@ -72,7 +72,7 @@ class NoiseEntry(Strict):
         return NoiseLevel(self.model, self.total, freedom)
 
 
-def level_of(entry: NoiseEntry | None) -> NoiseLevel | None:
+def _level_of(entry: NoiseEntry | None) -> NoiseLevel | None:
     """Return the noise level of an entry; None where there is none."""
     return None if entry is None else entry.level
 
@@ -109,7 +109,7 @@ class OwnNoiseEntry(Strict):
     @property
     def noise(self) -> OwnNoise:
         """The noise."""
-        return OwnNoise(self.setup, self.tool, level_of(self.position), level_of(self.orientation))
+        return OwnNoise(self.setup, self.tool, _level_of(self.position), _level_of(self.orientation))
 
 
 class UncertaintyFile(Strict):
@@ -240,8 +240,8 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
         causes,
         left_out,
         null_basis,
-        level_of(found.position),
-        level_of(found.orientation),
+        _level_of(found.position),
+        _level_of(found.orientation),
         read_only([found.identified[name] for name in names]),
         found.closure_determinant,
         tuple(entry.noise for entry in found.own_noise),

@@ -203,6 +203,9 @@ def test_outside_the_identified_range_is_one_sentence_a_joint() -> None:
         "elbow_joint is outside the range it was identified in, -57.3 to 57.3 deg, in 1 of 2 rows; the farthest is "
         "85.94 deg.",
     )
+    # In the turn in which it was told.
+    outside[1, 2] = 1.5 + 2 * np.pi
+    assert outside_identified(u, outside)[0].endswith("the farthest is 445.9 deg.")
 
 
 # ---- the file
