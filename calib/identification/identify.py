@@ -20,6 +20,7 @@ from calib.identification.fit import Fit, NullSpacePolicy
 from calib.identification.initialisation.anchors import anchors_anew
 from calib.identification.initialisation.frames import is_fit
 from calib.identification.initialisation.problem import initial_problem, with_common_names, with_new_frames
+from calib.identification.initialisation.tools_elsewhere import tools_elsewhere
 from calib.identification.learned import LearnedPrior, solve_learning
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
@@ -38,6 +39,8 @@ from calib.robot.robot import Deviations
 
 # Searches from where anchors are elsewhere, at most: each time fewer are.
 _MOST_TURNS = 3
+# By this share of the sum of squares a search with tools elsewhere must end better, and by more than rounding.
+_CLEARLY, _SOME = 0.05, 1.0
 # Frames of the nominal robot where an earlier fit has them, or as they begin.
 Placed = Literal["fitted", "begun"]
 # Rows that err together are weighed anew so often, until their common variance stays within that, as a logarithm.
@@ -155,6 +158,8 @@ def _identify(
     found = _with_anchors(problem, found, variances)
     if found.freed:
         problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
+    if near is None and together is None:
+        problem, found, learned = _with_tools(problem, found, learned, x0, variances)
     plain = problem
     if together is None:
         problem, found, learned = _erring_together(problem, found, learned, variances)
@@ -311,6 +316,47 @@ def _with_anchors(problem: Problem, found: Solution, variances: Sequence[float |
         again = solve(problem, x0, variances)
         found = again._replace(evaluations=found.evaluations + again.evaluations)
     return found
+
+
+def _with_tools(
+    problem: Problem,
+    found: Solution,
+    learned: tuple[LearnedPrior, ...],
+    x0: Array,
+    variances: Sequence[float | None] | None,
+) -> tuple[Problem, Solution, tuple[LearnedPrior, ...]]:
+    """Return problem and solution, or those to which a search with tools elsewhere has led, if they fit clearly better.
+
+    The search ends there with tools held where they were stated, as wide as where the data ask for another place.
+    """
+    ends = [solve(problem, start, variances) for start in tools_elsewhere(problem, x0)]
+    if not ends:
+        return problem, found, learned
+
+    robot = np.array([parameter.of_robot for parameter in problem.parameters])
+    hold = np.array([parameter.hold for parameter in problem.parameters]) / scales(problem.parameters)
+
+    def squares(x: Array) -> float:
+        own = [float(np.sum((r / s) ** 2)) for r, s in zip(_residuals(problem, x), sigmas, strict=True)]
+        return sum(own) + float(np.sum((hold * x)[robot] ** 2))
+
+    sigmas = weights.sigmas_of(problem, found.variances, _residuals(problem, found.x), search=True)
+    count = found.evaluations + sum(end.evaluations for end in ends)
+    enough = (1.0 - _CLEARLY) * squares(found.x) - _SOME
+    best = min(ends, key=lambda end: squares(end.x))
+    if squares(best.x) < enough:
+        freed = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
+        freed, again, anew = solve_learning(freed, x0, variances, Near(best.x, best.variances))
+        count += again.evaluations
+        if squares(again.x) < enough:
+            problem, found, learned = freed, again, anew
+        else:  # it is known not to be the minimum
+            found = found._replace(converged=False)
+    return problem, found._replace(evaluations=count), learned
+
+
+def _residuals(problem: Problem, x: Array) -> tuple[Array, ...]:
+    return problem.residuals_of(problem.machine(x))
 
 
 def matching(

@@ -11,6 +11,7 @@ from calib.foundations import rigid
 from calib.identification.observability import rank_findings
 from calib.identification.parameters import width
 from scripts.development.judge_one_orientation import SCENARIOS, judge
+from scripts.studies import sigmas
 from tests.support import machines
 from tests.support.machines import Array
 
@@ -155,3 +156,19 @@ def test_a_turn_of_the_flange_that_is_not_seen_is_in_the_sigma_of_a_tool_near_it
     # The other zeros are off by 10 mrad as well; noise alone is 2 um.
     assert abs(off) < 2.0 * told["tool.x"]
     assert told["tool.x"] == pytest.approx(0.01 * 5e-3, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("which", "free", "seed"),
+    [
+        ("SCARA", "offsets and tilts", 15),
+        ("lift, then three parallel axes", "offsets and tilts", 149),
+        ("three parallel axes, then a quill", "offsets and tilts", 226),
+        ("palletiser with two parallelograms", "offsets", 298),
+    ],
+)
+def test_a_search_from_a_wrong_height_of_the_tool_ends_at_the_least(which: str, free: str, seed: int) -> None:
+    # From the stated height alone each ends beyond a barrier, at three to 35 times the variance of the noise.
+    found = sigmas.session(which, free, seed)
+    assert not found.misfits
+    assert np.abs(found.off).max() < 4.0
