@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.brief import brief
@@ -113,7 +114,9 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
     before, after = old.known_uncertainty, new.known_uncertainty
     free_old, free_new = (_free(u, count) for u in (before, after))
     difference = _state(new.deviations) - _state(old.deviations)
-    C = before.shown[:count] @ before.shown[:count].T + after.shown[:count] @ after.shown[:count].T
+    apart = _along_null_spaces(old, new, count)
+    # An entry that the data determine may have a small part in the null space, and the tool be decimetres off along it.
+    C = sum((u.shown[:count] @ u.shown[:count].T for u in (before, after)), apart @ apart.T)
     known = free_old & free_new & ~_unidentifiable(before, count) & ~_unidentifiable(after, count)
     nu = min(before.degrees_of_freedom, after.degrees_of_freedom)
     readings = _common_readings(old, new, seed)
@@ -137,7 +140,7 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
         )
     statistic, freedom, probability = None, 0, None
     if np.array_equal(free_old, free_new):
-        statistic, freedom = _together(before, after, difference, free_old)
+        statistic, freedom = _together(before, after, difference, apart, free_old)
         if freedom:
             probability = float(exceeded(statistic, freedom, nu))
     tool = next(name for name in old.tools if name in new.tools)
@@ -192,9 +195,27 @@ def _unidentifiable(u: Uncertainty, count: int) -> BoolArray:
     return np.asarray(np.linalg.norm(u.null_basis[:count], axis=1) > _MOVED * DEFAULT_SIGMA)
 
 
-def _together(old: Uncertainty, new: Uncertainty, d: Array, free: BoolArray) -> tuple[float, int]:
+def _along_null_spaces(old: CalibratedMachine, new: CalibratedMachine, count: int) -> Array:
+    """Return by how much (count, 2) the robots differ along either null space, as they and the common tools tell.
+
+    Bases may have moved, and tell nothing.
+    """
+    common = [name for name in old.tools if name in new.tools]
+    changes = [new.tools[name][:3, 3] - old.tools[name][:3, 3] for name in common]
+    turns = [rigid.log3(old.tools[name][:3, :3].T @ new.tools[name][:3, :3]) for name in common]
+    d = np.concatenate([_state(new.deviations) - _state(old.deviations), np.column_stack([changes, turns]).ravel()])
+    found = []
+    for machine in (old, new):
+        tools = [machine.layout.tools + 6 * list(machine.tools).index(name) + np.arange(6) for name in common]
+        basis = machine.known_uncertainty.null_basis[np.concatenate([np.arange(count), *tools])]
+        found.append(basis[:count] @ np.linalg.lstsq(basis, d, rcond=_ROUNDING)[0])
+    return np.column_stack(found)
+
+
+def _together(old: Uncertainty, new: Uncertainty, d: Array, apart: Array, free: BoolArray) -> tuple[float, int]:
     """Return the statistic of the difference in the combinations that both have determined, and their number.
 
+    ``apart`` (n, 2): by how much the two differ along their null spaces, which is no difference.
     One parameter may move several entries, as DH parameters do: no more combinations vary than there are parameters.
     """
     count = len(free)
@@ -203,7 +224,7 @@ def _together(old: Uncertainty, new: Uncertainty, d: Array, free: BoolArray) -> 
     size = int(np.count_nonzero(values > _SAME_DIRECTION * values.max(initial=0.0)))
     Q = U[:, size:]
     factors = [Q.T @ u.shown[:count][free] for u in (old, new)]
-    both = np.hstack(factors)
+    both = np.hstack([*factors, Q.T @ apart[free]])
     size = np.linalg.norm(both, axis=1)
     size[size == 0.0] = 1.0
     # Of both together a few more seem to vary: what a parameter moves differs a little from one machine to the other.

@@ -30,7 +30,7 @@ from calib.identification.not_seen import AlongNullSpace
 from calib.identification.parameters import Parameter, scales
 from calib.identification.repeats import Repeats
 from calib.identification.rows import photograph_numbers
-from calib.identification.solver import Near, Solution, solution_at, solve
+from calib.identification.solver import Near, Solution, seek, solution_at, solve
 from calib.identification.system import Problem, residuals, with_twists
 from calib.identification.together import FEWEST, Together, likeliest
 from calib.measurement.lens import FOCAL
@@ -156,10 +156,10 @@ def _identify(
     x0 = values_at(model.robot, parameters, reference, deviations)
     problem, found, learned = solve_learning(problem, x0, variances, None if near is None else _near(near, problem, x0))
     found = _with_anchors(problem, found, variances)
-    if found.freed:
-        problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
     if near is None and together is None:
         problem, found, learned = _with_tools(problem, found, learned, x0, variances)
+    if found.freed:
+        problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
     plain = problem
     if together is None:
         problem, found, learned = _erring_together(problem, found, learned, variances)
@@ -329,7 +329,7 @@ def _with_tools(
 
     The search ends there with tools held where they were stated, as wide as where the data ask for another place.
     """
-    ends = [solve(problem, start, variances) for start in tools_elsewhere(problem, x0)]
+    ends = [seek(problem, start, variances) for start in tools_elsewhere(problem, x0)]
     if not ends:
         return problem, found, learned
 
@@ -341,12 +341,12 @@ def _with_tools(
         return sum(own) + float(np.sum((hold * x)[robot] ** 2))
 
     sigmas = weights.sigmas_of(problem, found.variances, _residuals(problem, found.x), search=True)
-    count = found.evaluations + sum(end.evaluations for end in ends)
+    count = found.evaluations + sum(end.search.evaluator.count for end in ends)
     enough = (1.0 - _CLEARLY) * squares(found.x) - _SOME
     best = min(ends, key=lambda end: squares(end.x))
     if squares(best.x) < enough:
         freed = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
-        freed, again, anew = solve_learning(freed, x0, variances, Near(best.x, best.variances))
+        freed, again, anew = solve_learning(freed, x0, variances, Near(best.x, best.noise.variances))
         count += again.evaluations
         if squares(again.x) < enough:
             problem, found, learned = freed, again, anew

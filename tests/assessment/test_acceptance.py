@@ -295,6 +295,23 @@ def test_readings_told_in_another_turn_are_a_range_in_common() -> None:
     assert at_tip[1] == pytest.approx(at_tip[0], rel=1e-12)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_heights_of_a_tool_that_is_not_seen_are_no_difference(seed: int) -> None:
+    """Identifiable parameters have a small part in the null space, along which the two calibrations are far apart."""
+    scara, rng = (machines.INLINE["scara"], "tip"), np.random.default_rng(seed)
+    robot, arm = machines.load(*scara), machines.arm(*scara)
+    true = Machine(arm.moved(rng), anywhere(rng), {"tool": pose((0.03, 0.02, 0.05))})
+
+    def found(one: Machine, height: float) -> calib.CalibratedMachine:
+        known = calib.Known(tools={"tool": [0.03, 0.02, height]})
+        model = calib.error_model(robot, offsets="all", placements="all", known=known)
+        return machine_of(calib.identify(model, one.measure(robot, one.arm.draw(rng, 60), rng=rng, sigma=SIGMA)))
+
+    before = found(true, 0.05)
+    assert not compare(before, found(true, 0.2)).moved  # all of them have with the noise alone
+    assert compare(before, found(with_zero(true, "elbow", 1e-3), 0.05)).moved
+
+
 def test_calibrations_that_free_different_parameters_are_compared_at_the_tip() -> None:
     robot, true, _ = machine()
     some = calib.error_model(robot, offsets=["elbow_joint"])

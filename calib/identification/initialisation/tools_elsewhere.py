@@ -11,10 +11,9 @@ import numpy as np
 from calib.foundations import linear
 from calib.foundations.arrays import Array
 from calib.identification.machine import Layout
+from calib.identification.parameters import TOOL
 from calib.identification.system import Problem
 
-# How far from where it begins a tool is tried, in m.
-_ELSEWHERE = 0.2
 # A tip link turns if its axes differ by more than that from their mean, as a root of mean squares.
 _TURNS = 0.1
 
@@ -42,4 +41,4 @@ def tools_elsewhere(problem: Problem, x0: Array) -> tuple[Array, ...]:
         for s in {int(s) for data in sets for s in data.setup[data.tool == k]}:
             change[layout.base + 6 * s :][:3] = -bases[s] @ along
     step = np.array([change[p.entries[0][0]] if p.kind in ("base", "tool") else 0.0 for p in problem.parameters])
-    return (x0 + _ELSEWHERE * step, x0 - _ELSEWHERE * step) if step.any() else ()
+    return (x0 + TOOL * step, x0 - TOOL * step) if step.any() else ()
