@@ -17,6 +17,7 @@ from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow, Covariance
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit, NullSpacePolicy
+from calib.identification.identifiability import NullDirection
 from calib.identification.initialisation.anchors import anchors_anew
 from calib.identification.initialisation.frames import is_fit
 from calib.identification.initialisation.problem import initial_problem, with_common_names, with_new_frames
@@ -175,10 +176,8 @@ def _identify(
     rank = found.directions.rank
     held: tuple[Parameter, ...] = ()
     if null_space == "minimal" and directions:
+        problem, found, kept, directions = _minimal(problem, found, (kept, directions), variances)
         held = tuple(parameter for k, parameter in enumerate(parameters) if k not in kept)
-        problem = replace(problem, parameters=tuple(parameters[k] for k in kept))
-        given = _given(problem, variances)
-        found = solve(problem, values_at(model.robot, problem.parameters, reference, deviations), given)
     machine = problem.machine(found.x)
     _refuse_nowhere(sets, machine)
     after = problem.residuals_of(machine)
@@ -332,31 +331,71 @@ def _with_tools(
     ends = [seek(problem, start, variances) for start in tools_elsewhere(problem, x0)]
     if not ends:
         return problem, found, learned
-
-    robot = np.array([parameter.of_robot for parameter in problem.parameters])
-    hold = np.array([parameter.hold for parameter in problem.parameters]) / scales(problem.parameters)
-
-    def squares(x: Array) -> float:
-        own = [float(np.sum((r / s) ** 2)) for r, s in zip(_residuals(problem, x), sigmas, strict=True)]
-        return sum(own) + float(np.sum((hold * x)[robot] ** 2))
-
-    sigmas = weights.sigmas_of(problem, found.variances, _residuals(problem, found.x), search=True)
     count = found.evaluations + sum(end.search.evaluator.count for end in ends)
-    enough = (1.0 - _CLEARLY) * squares(found.x) - _SOME
-    best = min(ends, key=lambda end: squares(end.x))
-    if squares(best.x) < enough:
+    best = min(ends, key=lambda end: _squares(problem, end.x, _sigmas(problem, found)))
+    if _clearly_less(problem, best.x, problem, found):
         freed = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
-        freed, again, anew = solve_learning(freed, x0, variances, Near(best.x, best.noise.variances))
-        count += again.evaluations
-        if squares(again.x) < enough:
-            problem, found, learned = freed, again, anew
-        else:  # it is known not to be the minimum
-            found = found._replace(converged=False)
+        for begin, near in ((x0, Near(best.x, best.noise.variances)), (best.x, None)):
+            new, again, anew = solve_learning(freed, begin, variances, near)
+            count += again.evaluations
+            if _clearly_less(new, again.x, problem, found):
+                return new, again._replace(evaluations=count), anew
+        # It is known not to be the minimum.
+        found = found._replace(converged=False)
     return problem, found._replace(evaluations=count), learned
 
 
-def _residuals(problem: Problem, x: Array) -> tuple[Array, ...]:
-    return problem.residuals_of(problem.machine(x))
+def _minimal(
+    problem: Problem,
+    found: Solution,
+    told: tuple[tuple[int, ...], tuple[NullDirection, ...]],
+    variances: Sequence[float | None] | None,
+) -> tuple[Problem, Solution, tuple[int, ...], tuple[NullDirection, ...]]:
+    """Return the problem of a minimal set of parameters, the others nominal or as they begin, with its solution.
+
+    ``told``: the set and the directions at the start. What shows only in products of parameters that are zero there is
+    determined as well, if the fit is clearly worse without it; returned are the set and the directions that hold then.
+    """
+    kept, directions = told
+    smaller, less = _solved_for(problem, kept, variances)
+    if _clearly_less(problem, found.x, smaller, less):
+        kept, directions = identifiability.told(
+            found.spectrum.rows, found.directions.common_rank(0.0), problem.parameters
+        )
+        near = Near(found.x[list(kept)], found.variances)
+        smaller, less = _solved_for(problem, kept, variances, near)
+        if _clearly_less(problem, found.x, smaller, less):
+            less = less._replace(converged=False)
+    return smaller, less, kept, directions
+
+
+def _solved_for(
+    problem: Problem, kept: Sequence[int], variances: Sequence[float | None] | None, near: Near | None = None
+) -> tuple[Problem, Solution]:
+    """Return the problem of some of its parameters, the others being nominal or as they begin, and its solution."""
+    smaller = replace(problem, parameters=tuple(problem.parameters[k] for k in kept))
+    x0 = values_at(problem.model.robot, smaller.parameters, problem.reference, problem.held)
+    return smaller, solve(smaller, x0, _given(smaller, variances), near)
+
+
+def _clearly_less(one: Problem, x: Array, other: Problem, found: Solution) -> bool:
+    """Return whether the sum of squares of one problem at x (p,) is clearly less than that of the other's solution."""
+    sigmas = _sigmas(other, found)
+    return _squares(one, x, sigmas) < (1.0 - _CLEARLY) * _squares(other, found.x, sigmas) - _SOME
+
+
+def _squares(problem: Problem, x: Array, sigmas: Sequence[Array]) -> float:
+    """Return the sum of squares of residuals and of the robot's priors at x (p,)."""
+    residual = problem.residuals_of(problem.machine(x))
+    priors = [p.hold * value / p.scale for p, value in zip(problem.parameters, x, strict=True) if p.of_robot]
+    return sum(float(np.sum((r / s) ** 2)) for r, s in zip(residual, sigmas, strict=True)) + float(
+        np.sum(np.square(priors))
+    )
+
+
+def _sigmas(problem: Problem, found: Solution) -> tuple[Array, ...]:
+    """Return the standard deviations (N, d) of the rows of every set, as a solution weighs them."""
+    return weights.sigmas_of(problem, found.variances, problem.residuals_of(problem.machine(found.x)), search=True)
 
 
 def matching(

@@ -6,7 +6,7 @@
 Lines, arcs and planes are followed at one orientation of the flange, to 1e-6 deg of the readings, by UR5, UR10, Panda
 and IRB2400 of known truth. Their joints have what no geometry explains: harmonics of 0.05 to 0.15 mrad, or compliance
 of as much, either correlated along the path. Held-out rows are of other paths of the same kind in the same volume. A
-session is right where calib converges, in at most 30 evaluations, and its held-out rms is at most 1.15 times that of a
+session is right where calib converges, in at most 100 evaluations, and its held-out rms is at most 1.15 times that of a
 fit that is told the tool. Other scenarios: a wrist that turns by 0.1 deg, a tool on the last axis, one joint that alone
 moves, three joints on one axis. Truth, paths and predictions are those of :mod:`scripts.development.judge_machines`.
 """
@@ -52,7 +52,7 @@ from scripts.development.judge_machines import (
 )
 from scripts.development.judge_verdict import state_of
 
-MOST_RATIO, MOST_EVALUATIONS = 1.15, 30
+MOST_RATIO, MOST_EVALUATIONS = 1.15, 100
 ORDERS = (1, 2, 5, 11, 37)
 # A payload of 100 N at the tip bends joints by this much per Nm: 0.1 mrad where it is a metre away.
 FORCE, COMPLIANCE = 100.0, 1e-6

@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -213,8 +213,17 @@ class Session:
     misfits: bool
 
 
-def session(which: str, free: str, seed: int) -> Session:
-    """Measure, identify, and compare with the truth."""
+class Measured(NamedTuple):
+    """The model and the data of a session, and what is true of them."""
+
+    model: calib.ErrorModel
+    data: calib.Measurements
+    arm: Arm
+    true: State
+
+
+def measured(which: str, free: str, seed: int) -> Measured:
+    """Measure a machine with a tool that is stated wrongly."""
     rng = np.random.default_rng([seed, *which.encode(), *free.encode()])
     text, (placements, off) = urdf(ARMS[which]), PLACEMENTS[free]
     found, robot = arm(text, TIP), calib.load_robot(parse_urdf(text.encode(), "arm.urdf"), TIP)
@@ -232,10 +241,16 @@ def session(which: str, free: str, seed: int) -> Session:
     model = calib.error_model(
         robot, offsets="all", placements=placements, known=calib.Known(tools={"tool": list(stated)})
     )
-    fit = calib.identify(model, data)
+    return Measured(model, data, found, true)
+
+
+def session(which: str, free: str, seed: int) -> Session:
+    """Measure, identify, and compare with the truth."""
+    of = measured(which, free, seed)
+    fit = calib.identify(of.model, of.data)
     own = ~fit.unidentifiable
     names = tuple(parameter.name for parameter, is_ in zip(fit.parameters, own, strict=True) if is_)
-    errors = (fit.values - true_values(found, true, fit))[own]
+    errors = (fit.values - true_values(of.arm, of.true, fit))[own]
     return Session(
         names,
         fit.sigmas[own],

@@ -172,3 +172,18 @@ def test_a_search_from_a_wrong_height_of_the_tool_ends_at_the_least(which: str, 
     found = sigmas.session(which, free, seed)
     assert not found.misfits
     assert np.abs(found.off).max() < 4.0
+
+
+@pytest.mark.parametrize(
+    ("which", "seed"),
+    [("SCARA", 504), ("three parallel axes, then a quill", 504), ("lift, then three parallel axes", 509)],
+)
+def test_what_only_products_of_small_parameters_show_is_in_a_minimal_set(which: str, seed: int) -> None:
+    # Held at what was stated, the tool's height leaves residuals of 31, 88 and 33 times the variance of the noise.
+    of = sigmas.measured(which, "offsets and tilts", seed)
+    nearest = calib.identify(of.model, of.data)
+    minimal = calib.identify(of.model, of.data, null_space="minimal")
+    assert minimal.converged
+    assert minimal.noise[0].chi_square == pytest.approx(nearest.noise[0].chi_square, rel=0.05)
+    assert len(minimal.parameters) == minimal.rank
+    assert "tool.z" not in [parameter.name for parameter in minimal.held]
