@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Collection, Iterable, Sequence
+from unicodedata import is_normalized, normalize
 
 from calib.foundations.errors import CalibError, JobError
 
@@ -70,6 +71,20 @@ def printable(text: str) -> str:
     Names in it can then neither break the line nor command the terminal.
     """
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def apart(text: str) -> str:
+    """Return a sentence in which names differ that look alike, as one has its accents as characters of their own (NFD).
+
+    These, and what else Unicode writes in another way, are escapes, as TOML has them as well.
+    """
+    if is_normalized("NFC", text):
+        return text
+    before = (" ", *text)
+    return "".join(
+        c.encode("unicode_escape").decode() if normalize("NFC", c) != c or len(normalize("NFC", b + c)) == 1 else c
+        for b, c in zip(before, text, strict=False)
+    )
 
 
 def unturned(text: str) -> str:

@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
+from unicodedata import normalize
 
 import numpy as np
 
@@ -93,7 +94,12 @@ class Roles:
 
 def tokens(name: str) -> tuple[str, ...]:
     """Return the parts of a name: ``joint_1_position`` has joint, 1 and position."""
-    return tuple(token.lower() for token in _TOKEN.findall(name))
+    return tuple(token.lower() for token in _as_written(name))
+
+
+def _as_written(name: str) -> list[str]:
+    """Return the parts with their capitals; accents that are characters of their own (NFD) belong to their letters."""
+    return _TOKEN.findall(normalize("NFC", name))
 
 
 def _rank(words: Iterable[str]) -> Rank:
@@ -190,7 +196,7 @@ def _by_axis(names: Sequence[str], numeric: Iterable[int]) -> Iterator[tuple[_Ax
     """
     found: dict[_Axis, tuple[dict[str, int], ...]] = {}
     for k in numeric:
-        written = _TOKEN.findall(names[k])
+        written = _as_written(names[k])
         parts = tokens(names[k])
         for i, part in enumerate(parts):
             for letter, stem, own in {(part[-1], part[:-1], written[i][-1]), (part[0], part[1:], written[i][0])}:

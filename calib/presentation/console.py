@@ -10,7 +10,7 @@ from rich.text import Text
 
 from calib.foundations.errors import OutputError
 from calib.foundations.units import MINUTE
-from calib.foundations.words import printable
+from calib.foundations.words import apart, printable
 from calib.presentation.report.document import Prose, Report, Sheet
 from calib.presentation.tables import WIDTH, plain, sheet_table
 
@@ -93,7 +93,7 @@ def warning(text: str) -> Text:
 def show_error(text: str) -> None:
     """Print an error to standard error, on one line."""
     console = _console(stderr=True)
-    console.print(strong(f"Error: {text}", "red"), soft_wrap=True)
+    console.print(strong(f"Error: {apart(text)}", "red"), soft_wrap=True)
 
 
 class Steps:

@@ -8,12 +8,14 @@ import sys
 import tomllib
 from pathlib import Path
 from typing import NamedTuple
+from unicodedata import normalize
 
 import numpy as np
 import pytest
 
 import calib
 from tests.proposal.twins import TWINS
+from tests.support.cases import run
 from tests.support.machines import urdf
 from tests.support.people import UR10
 
@@ -146,3 +148,29 @@ def test_columns_that_are_called_just_as_joints_are_these_whatever_is_alike(
     found = calib.measuring.propose(tmp_path / "arm.urdf", [tmp_path / "t.csv"])
     assert (found.robot.tip, found.tables[0].columns.ignore) == ("tip", ())
     assert f"{names[0]} [deg] to {names[-1]} [deg] are" in found.reasons[0]
+
+
+def test_accents_of_columns_may_be_characters_of_their_own(tmp_path: Path) -> None:
+    """No column was a joint of the arm, and the sentence about it named both alike."""
+    names = [normalize("NFC", name) for name in ("größe", "coude_é", "poignet_è")]
+    axes = ("0 0 1", "0 1 0", "1 0 0")
+    joints = [(name, "revolute", "0.1 0 0.3", "0 0 0", axis) for name, axis in zip(names, axes, strict=True)]
+    (tmp_path / "arm.urdf").write_text(urdf(*joints), encoding="utf-8")
+    q = np.random.default_rng(3).uniform(-1.5, 1.5, (40, 3))
+    at = 1e3 * calib.load_robot(tmp_path / "arm.urdf", "tip").tips(q)[:, :3, 3]
+    titles = [f"{normalize('NFD', name)} [deg]" for name in names]
+    header = ",".join([*titles, "x [mm],y [mm],z [mm]"])
+    np.savetxt(
+        tmp_path / "t.csv", np.hstack([np.degrees(q), at]), delimiter=",", header=header, comments="", encoding="utf-8"
+    )
+    found = calib.measuring.propose(tmp_path / "arm.urdf", [tmp_path / "t.csv"])
+    told = {f"{name} [deg]": title for name, title in zip(names, titles, strict=True)}
+    assert found.tables[0].columns.names.items() >= told.items()
+    (tmp_path / "job.toml").write_text(
+        'schema = 1\n[robot]\nurdf = "arm.urdf"\n[error_model]\noffsets = "all"\n[[measurements]]\nfile = "t.csv"\n',
+        encoding="utf-8",
+    )
+    said = run("check", tmp_path / "job.toml")
+    assert said.code == 1
+    assert r"'gro\u0308ße'" in said.err
+    assert r'write in the job: columns = { "größe [deg]" = "gro\u0308ße [deg]"' in said.err
