@@ -199,6 +199,26 @@ def test_wishes_of_compensate_without_effect_are_told(folder: Path) -> None:
     assert json.loads(run("compensate", "out", "targets.csv", "-o", "again.csv", "--json").out)["notes"] == []
 
 
+def test_in_order_tells_rows_of_which_no_side_is_known(folder: Path) -> None:
+    """An arm that rests at its first pose lost those rows in silence when it was verified."""
+    order = tuple((f'file = "{name}"\n', f'file = "{name}"\nin_order = true\n') for name in (TABLE, "validation.csv"))
+    edit(JOB, ('offsets = "all"', 'offsets = "all"\nbacklash = "all"'), *order)(folder)
+    assert run("calibrate", JOB, "-o", "out", "-q").code == 0
+    lines = (folder / "validation.csv").read_text(encoding="utf-8").splitlines()
+    head, *rows = [line for line in lines if not line.startswith("#")]
+    (folder / "rested.csv").write_text("\n".join([head, *([rows[0]] * 4), *rows]) + "\n", encoding="utf-8")
+    said = run("verify", "out", "rested.csv", "--in-order", "--json")
+    assert json.loads(said.out)["notes"] == [
+        "rested.csv: in_order leaves out 5 rows, before a joint has moved: nothing tells from which side that pose was "
+        "reached; begin with a motion."
+    ]
+    assert "Warning: rested.csv: in_order leaves out 5 rows" in run("verify", "out", "rested.csv", "--in-order").out
+    joints = [line.rsplit(",", 3)[0] for line in (head, *([rows[0]] * 2), rows[1])]
+    (folder / "targets.csv").write_text("\n".join(joints) + "\n", encoding="utf-8")
+    said = run("compensate", "out", "targets.csv", "-o", "sent.csv", "--in-order", "--json")
+    assert json.loads(said.out)["notes"] == ["2 targets that can be reached have a remark in the column 'reason'."]
+
+
 # Check. -----------------------------------------------------------------------------------------------------------
 
 

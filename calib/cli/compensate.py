@@ -61,6 +61,9 @@ def compensate(
     if model.uncertainty is not None and found.reached.any():
         outside = outside_identified(model, found.readings[found.reached], wanted.conditions.subset(found.reached))
     missed = len(found) - int(found.reached.sum())
+    if remarked := sum(bool(why) for why, there in zip(found.reasons, found.reached, strict=True) if there):
+        rows = counted(remarked, "target that can be reached has", "targets that can be reached have")
+        idle = (*idle, f"{rows} a remark in the column 'reason'.")
     all_of_it = "it" if len(found) == 1 else "all"
     said = f"{missed} cannot be reached, and the table says why" if missed else f"{all_of_it} can be reached"
     telling.tell(

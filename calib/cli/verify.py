@@ -49,7 +49,7 @@ def verify(
         from calib.job.columns import columns_of_results
         from calib.machine.identified import outside_identified
         from calib.machine.model_file import load_machine
-        from calib.measurement.checks import refuse_findings, table_findings
+        from calib.measurement.checks import refuse_findings, table_findings, unreached
         from calib.measurement.read import read_measurements
         from calib.measurement.table import Columns, HeaderError
         from calib.presentation.acceptance_tables import verification_lines, verification_sheet
@@ -78,6 +78,7 @@ def verify(
             ) from e
         # Else a wrong unit would be told as an arm that has changed.
         refuse_findings(table_findings(data, machine.robot.readings, machine.robot.reach))
+        left_out = [finding.sentence for finding in unreached(data)]
         say("judging")
         found = judged(
             machine,
@@ -87,8 +88,8 @@ def verify(
         )
         outside = outside_identified(machine, data.readings, data.loaded(machine.robot).conditions)
     telling.tell(
-        lambda: {**found.contents(), "outside": list(outside)},
-        lambda: [*map(warning, outside), verification_sheet(found), *verification_lines(found)],
+        lambda: {**found.contents(), "outside": list(outside), "notes": left_out},
+        lambda: [*map(warning, (*left_out, *outside)), verification_sheet(found), *verification_lines(found)],
     )
     if not found.passed:
         raise typer.Exit(NOT_TRUSTED)
