@@ -175,6 +175,24 @@ def test_an_empty_text_is_not_the_current_folder(folder: Path, typed: tuple[str,
     assert tree(folder) == before
 
 
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("new.csv/", "'new.csv/' is a folder; name a file."),
+        ("new.csv/.", "'new.csv/.' is a folder; name a file."),
+        ("-", "'-' would be a file of this name, and not standard output; name a file."),
+    ],
+)
+def test_a_file_to_be_written_has_the_name_of_one(folder: Path, name: str, why: str) -> None:
+    """``new.csv/`` wrote new.csv, and ``-`` a file of this name."""
+    before = tree(folder)
+    for typed in (("dh", "arm_cmm.urdf", "-o"), ("init", "arm_cmm.urdf", TABLE, "-o"), ("sensitivity", JOB, "--plot")):
+        said = run(*typed, name)
+        assert (said.code, said.out) == (2, "")
+        assert said.err.endswith(f": {why}\n")
+    assert tree(folder) == before
+
+
 def test_folders_of_meshes_that_are_none(folder: Path) -> None:
     said = run("plan", JOB, "-o", "new.csv", "--mesh-root", "nowhere")
     assert said == (1, "", "Error: --mesh-root: 'nowhere' is not a folder.\n")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
 import typer
 from typer.core import TyperGroup
 
-from calib.cli.options import Json, Quiet
+from calib.cli.options import Json, Quiet, path_of
 from calib.foundations.json_text import document
 from calib_start import loading
 
@@ -117,23 +117,17 @@ def _bundled(kind: Callable[..., Any]) -> list[Parameter]:
 
 
 def _with_a_name(option: Parameter) -> Parameter:
-    """Return an option that takes no empty text for a path: of a shell's variable that is not set, it is ``.``."""
+    """Return an option that takes no empty text for a path."""
     kind, *details = get_args(option.annotation) or (None,)
     if not details or not _of_paths(kind):
         return option
     info = copy(details[0])
-    info.parser = _path
+    info.parser = info.parser or path_of
     return option.replace(annotation=Annotated[kind, info])
 
 
 def _of_paths(kind: object) -> bool:
     return kind is Path or any(map(_of_paths, get_args(kind)))
-
-
-def _path(text: str | Path) -> Path:
-    if text == "":
-        raise typer.BadParameter("is empty; name a file or a folder.")
-    return Path(text)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ def cell(
     arm: Annotated[Path, argument("ARM", "Results of the arm, or its URDF.")],
     positioner: Annotated[Path, argument("POSITIONER", "Results of the positioner.")],
     out: Annotated[Path, written("FILE", "The cell's URDF, to be written.")],
-    scene: Annotated[Path | None, option("--scene", "FILE", "Also draw it (HTML).")] = None,
+    scene: Annotated[Path | None, written("FILE", "Also draw it (HTML).", "--scene")] = None,
     placed_in: Annotated[
         PlacedIn | None,
         typer.Option("--placed-in", help="In whose frame the positioner's base was found; else as its results say."),

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import IN_WORDS, PATH, Telling, command
-from calib.cli.options import argument
+from calib.cli.options import argument, written
 from calib.cli.proposing import NOTHING_SAID, Said, proposed, tell_check
 from calib_start import loading
 
@@ -18,9 +18,7 @@ from calib_start import loading
 def init(
     urdf: Annotated[str, typer.Argument(metavar="URDF", help="The robot, or example:...", show_default=False)],
     data: Annotated[list[Path], argument("DATA...", "Tables of measurements.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The job file to write.", readable=False)] = Path(
-        "calibration.toml"
-    ),
+    output: Annotated[Path, written("FILE", "The job file to write.", "--output", "-o")] = Path("calibration.toml"),
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing; refuse what can be read in two ways.")] = False,
     xacro: Annotated[
         bool, typer.Option("--xacro", help="URDF is a xacro file: run it. This runs code of the file.")

@@ -1,8 +1,9 @@
 """Arguments and options that commands share."""
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -21,9 +22,26 @@ def option(name: str, metavar: str, help_: str) -> Any:
     return typer.Option(name, metavar=metavar, help=help_, readable=False)
 
 
-def written(metavar: str, help_: str) -> Any:
-    """Return the option ``--out``: a file or a folder to be written."""
-    return typer.Option("--out", "-o", metavar=metavar, help=help_, readable=False)
+def written(metavar: Literal["FILE", "FOLDER"], help_: str, *names: str) -> Any:
+    """Return an option, ``--out`` unless it has other ``names``: a file or a folder to be written."""
+    parser = _file if metavar == "FILE" else path_of
+    return typer.Option(*(names or ("--out", "-o")), metavar=metavar, help=help_, readable=False, parser=parser)
+
+
+def path_of(text: str | Path) -> Path:
+    """Return a path; no empty text is one: of a shell's variable that is not set, it would be ``.``."""
+    if text == "":
+        raise typer.BadParameter("is empty; name a file or a folder.")
+    return Path(text)
+
+
+def _file(text: str | Path) -> Path:
+    """Return the path of a file to be written: of ``name/`` a path keeps the name alone."""
+    if text == "-":
+        raise typer.BadParameter("'-' would be a file of this name, and not standard output; name a file.")
+    if str(text) and os.path.basename(text) in ("", "."):  # noqa: PTH119 - a path has lost what is asked for
+        raise typer.BadParameter(f"{shown(str(text))} is a folder; name a file.")
+    return path_of(text)
 
 
 def refuse_idle(why: str, given: Mapping[str, object]) -> None:

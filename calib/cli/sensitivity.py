@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from calib.cli.application import IN_WORDS, PREPARE, Telling, command
-from calib.cli.options import JobFile, option
+from calib.cli.options import JobFile, option, written
 from calib_start import loading
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ _ERRORS = "Results of calib calibrate on this job, or assumed errors (CSV: param
 def sensitivity(
     job: JobFile,
     errors: Annotated[Path | None, option("--errors", "FOLDER|FILE", _ERRORS)] = None,
-    plot: Annotated[Path | None, option("--plot", "FILE", "Also draw it, as .svg, .png or .pdf.")] = None,
+    plot: Annotated[Path | None, written("FILE", "Also draw it, as .svg, .png or .pdf.", "--plot")] = None,
     telling: Telling = IN_WORDS,
 ) -> None:
     """Show how much every free parameter of a job moves the tip.
