@@ -15,6 +15,7 @@ import pytest
 import calib
 from calib.measurement.formats import arrays, workbook
 from calib.measurement.formats.sheet import joined, read_sheet
+from calib.measurement.table import read_table
 from tests.support.cases import run
 from tests.support.people import UR10, quaternions, session, text
 
@@ -408,6 +409,18 @@ def test_files_of_which_each_is_one_target(folder: Path) -> None:
     lines = (folder / "touched.csv").read_text().splitlines()
     assert lines[0] == "column 1,column 2,column 3,target"
     assert lines[1:] == [*(f"{k}.5,0.1,-0.2,hole_0" for k in range(3)), *(f"{k}.5,0.1,-0.2,hole_1" for k in range(2))]
+
+
+def test_names_of_several_lines_are_of_one(folder: Path) -> None:
+    """Titles and files' names with a line end made a table that nothing could read again."""
+    records = [{"joint_1\n[deg]": 1.5, "x [mm]": k, "tool": "a\nb"} for k in (1, 2)]
+    (folder / "records.json").write_text(json.dumps(records), encoding="utf-8")
+    assert run("import", "records.json", "-o", "records.csv").code == 0
+    assert read_table(folder / "records.csv").columns.keys() == {"joint_1", "x", "tool"}
+    for name in ("a\nhole", "b\u2028hole"):
+        (folder / f"{name}.csv").write_text("j [deg],x [mm]\n0.5,1\n")
+    assert run("import", "a\nhole.csv", "b\u2028hole.csv", "--stack", "target", "-o", "touched.csv").code == 0
+    assert read_table(folder / "touched.csv").columns["target"].values == ("a hole", "b hole")
 
 
 @pytest.mark.parametrize(

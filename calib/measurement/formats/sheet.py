@@ -23,7 +23,10 @@ _XML = (b"<?xml", b"<!--", b"<robot")
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """Cells of text below ``titles``; ``remarks``: how they were had; ``of_part``: of one of several parts of a log."""
+    """Cells of text below ``titles``; ``remarks``: how they were had; ``of_part``: of one of several parts of a log.
+
+    Titles, whatever names they are made of, are of one line: a table has a row in a line.
+    """
 
     titles: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -31,10 +34,17 @@ class Sheet:
     remarks: tuple[str, ...] = ()
     of_part: bool = False
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "titles", tuple(map(_of_one_line, self.titles)))
+
     def csv(self) -> str:
         """Return the sheet as a comma-separated table; one without names has no header."""
         named = self.titles != tuple(f"column {k + 1}" for k in range(len(self.titles)))
         return csv_text([self.titles, *self.rows] if named else self.rows)
+
+
+def _of_one_line(name: str) -> str:
+    return " ".join(name.split())
 
 
 def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
@@ -185,7 +195,7 @@ def stacked(sheets: Sequence[Sheet], title: str) -> Sheet:
             )
         if title in sheet.titles:
             raise MeasurementError(f"{sheet.where}: has a column {shown(title)} already.")
-    names = [Path(sheet.where).stem for sheet in sheets]
+    names = [_of_one_line(Path(sheet.where).stem) for sheet in sheets]
     for sheet, name in zip(sheets, names, strict=True):
         if names.count(name) > 1:
             raise MeasurementError(f"{sheet.where}: another file is called {shown(name)} too; give each its own name.")
