@@ -140,7 +140,7 @@ def parse_quantity(text: str, dimension: Dimension, where: str, error: type[Cali
     """
     match = _QUANTITY.fullmatch(text)
     if match is None:
-        raise error(f"{where}: {text!r} is not a number with a unit, like {_example(dimension)!r}.")
+        raise error(f"{where}: {text!r} is not a number with a unit, like {example_of(dimension)!r}.")
     if not match[2]:
         raise error(f"{where}: {text!r} has no unit; allowed are {', '.join(symbols(dimension))}.")
     value = float(match[1]) * unit_of(match[2], dimension, where, error).factor
@@ -149,5 +149,8 @@ def parse_quantity(text: str, dimension: Dimension, where: str, error: type[Cali
     return value
 
 
-def _example(dimension: Dimension) -> str:
-    return {"length": "0.02 mm", "angle": "0.01 deg"}.get(dimension, f"1.5 {symbols(dimension)[0]}")
+def example_of(dimension: Dimension) -> str:
+    """Return a quantity of a dimension as a message shows one."""
+    common = {"length": "0.02 mm", "angle": "0.01 deg", "mass": "5 kg", "time": "0.1 s", "pixel": "0.2 px"}
+    rarer = {"acceleration": "9.81 m/s2", "turning compliance": "10 urad/Nm"}
+    return (common | rarer).get(dimension, f"1.5 {symbols(dimension)[0]}")

@@ -79,7 +79,7 @@ def _measurement_contradictions(job: Job, at: str, section: MeasurementsSection)
     if section.instrument is not None and section.instrument not in job.instruments:
         known = ", ".join(map(repr, job.instruments)) or "none"
         yield f"{at}.instrument: {section.instrument!r} is not declared; there are {known}."
-    if section.instrument is not None and section.sigma is not None:
+    if section.instrument is not None and section.sigma is not None and section.observes != "pixels":
         yield f"{at}.instrument: the noise is given by sigma as well; keep one of them."
     if section.observes != "pose":
         for key in ("sigma_angle", "model_sigma_angle"):
@@ -127,11 +127,15 @@ def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]
             yield f"{at}.instrument: a {_words(kind)} measures no {section.observes}."
     if section.observes != "pixels" and section.board is not None:
         yield f"{at}.board: only cameras see boards; leave it out."
-    if section.observes == "pixels" and section.sigma is not None:
-        yield f"{at}.sigma: the noise of pixels is the camera's; give it there."
-    if section.model_sigma is not None and (section.model_sigma.dimension == "pixel") != (section.observes == "pixels"):
-        unit = "pixels, like '0.1 px'" if section.observes == "pixels" else "a length, like '0.02 mm'"
-        yield f"{at}.model_sigma: {section.model_sigma!r} does not fit what is observed; allowed are {unit}."
+    pixels = section.observes == "pixels"
+    if pixels and section.sigma is not None:
+        there = dotted(("instruments", section.instrument or "camera"))
+        say = f"leave it out, and give [{there}] a sigma, like '0.2 px'"
+        yield f"{at}.sigma: the noise of pixels is the camera's; {say}."
+    for key, sigma in (("sigma", None if pixels else section.sigma), ("model_sigma", section.model_sigma)):
+        if sigma is not None and (sigma.dimension == "pixel") != pixels:
+            unit = "pixels, like '0.1 px'" if pixels else "a length, like '0.02 mm'"
+            yield f"{at}.{key}: {sigma!r} does not fit what is observed; allowed are {unit}."
 
 
 _KEYS_OF: Mapping[str, tuple[str, ...]] = {

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, BeforeValidator, PlainValidator
 
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import COUNTS, MOST_NAMES, RANGES
-from calib.foundations.units import Dimension, parse_quantity
+from calib.foundations.units import Dimension, example_of, parse_quantity, symbols
 from calib.foundations.words import shortened
 from calib.measurement.lens import NAMES
 from calib.measurement.orientations import ORIENTATIONS
@@ -52,13 +52,7 @@ def quantity(name: str) -> Callable[[object], Quantity]:
 
     def checked(text: object) -> Quantity:
         if not isinstance(text, str):
-            example = {
-                "length": "0.02 mm",
-                "mass": "5 kg",
-                "acceleration": "9.81 m/s2",
-                "turning compliance": "10 urad/Nm",
-            }.get(dimension, "0.01 deg")
-            raise ValueError(f"{as_toml(text)} is not a text with a number and a unit, like {example!r}.")
+            raise ValueError(f"{as_toml(text)} is not a text with a number and a unit, like {example_of(dimension)!r}.")
         try:
             value = parse_quantity(text, dimension, "")
         except JobError as e:
@@ -181,15 +175,8 @@ def term_option(name: str, option: Option) -> Callable[[object], object]:
 
 def either(usual: str, other: str) -> Callable[[object], Quantity]:
     """Return a validator of a quantity of one of two dimensions; another key decides which one it must be."""
-
-    def checked(text: object) -> Quantity:
-        try:
-            parse_quantity(str(text), RANGES[other].dimension, "")
-        except JobError:
-            return quantity(usual)(text)
-        return quantity(other)(text)
-
-    return checked
+    others = symbols(RANGES[other].dimension)
+    return lambda text: quantity(other if str(text).rstrip().endswith(others) else usual)(text)
 
 
 def _or_learned(check: Callable[[object], Quantity]) -> Callable[[object], Prior]:
@@ -247,7 +234,8 @@ CompliancePrior = Annotated[
 PrintedLength = Annotated[Quantity, PlainValidator(quantity("square, marker"))]
 PrintedShare = Annotated[float, AfterValidator(number("square_sigma"))]
 Counts = Annotated[tuple[int, int], BeforeValidator(being("a list of two whole numbers, like [7, 5]", _are_counts))]
-Sigma = Annotated[Quantity, PlainValidator(quantity("sigma"))]
+# That of pixels is the camera's, which is said where it is known what is observed.
+Sigma = Annotated[Quantity, PlainValidator(either("sigma", "instruments.sigma of a camera"))]
 SigmaAngle = Annotated[Quantity, PlainValidator(quantity("sigma_angle"))]
 InstrumentSigma = Annotated[Quantity, PlainValidator(either("instruments.sigma", "instruments.sigma of a camera"))]
 ModelSigma = Annotated[Quantity, PlainValidator(either("model_sigma", "model_sigma of pixels"))]

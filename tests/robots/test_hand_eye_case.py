@@ -101,7 +101,19 @@ BROKEN: dict[str, tuple[Edit, str]] = {
     ),
     "pixels with a noise of their own": (
         edit(JOB, ('observes = "pixels"', 'observes = "pixels"\nsigma = "0.1 mm"')),
-        "measurements[0].instrument: the noise is given by sigma as well",
+        "measurements[0].sigma: the noise of pixels is the camera's; leave it out, and give [instruments.camera] a sigma",
+    ),
+    "pixels with a noise of their own in px": (
+        edit(JOB, ('observes = "pixels"', 'observes = "pixels"\nsigma = "0.2 px"')),
+        "measurements[0].sigma: the noise of pixels is the camera's; leave it out, and give [instruments.camera] a sigma",
+    ),
+    "camera's sigma without a number": (
+        edit(JOB, ('"0.2 px"', '"nan px"')),
+        "instruments.camera.sigma: 'nan px' is not a number with a unit, like '0.2 px'.",
+    ),
+    "camera's sigma beyond all numbers": (
+        edit(JOB, ('"0.2 px"', '"1e400 px"')),
+        "instruments.camera.sigma: '1e400 px' is not a finite number.",
     ),
     "camera of positions": (edit(JOB, ('observes = "pixels"\n', "")), "a camera measures no position"),
     "model part in mm": (
