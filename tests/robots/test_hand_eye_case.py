@@ -101,11 +101,11 @@ BROKEN: dict[str, tuple[Edit, str]] = {
     ),
     "pixels with a noise of their own": (
         edit(JOB, ('observes = "pixels"', 'observes = "pixels"\nsigma = "0.1 mm"')),
-        "measurements[0].sigma: the noise of pixels is the camera's; leave it out, and give [instruments.camera] a sigma",
+        "measurements[0].sigma: the noise of pixels is the camera's; leave it out, and give [instruments.camera]",
     ),
     "pixels with a noise of their own in px": (
         edit(JOB, ('observes = "pixels"', 'observes = "pixels"\nsigma = "0.2 px"')),
-        "measurements[0].sigma: the noise of pixels is the camera's; leave it out, and give [instruments.camera] a sigma",
+        "measurements[0].sigma: the noise of pixels is the camera's; leave it out, and give [instruments.camera]",
     ),
     "camera's sigma without a number": (
         edit(JOB, ('"0.2 px"', '"nan px"')),
