@@ -8,8 +8,10 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.linear import svd
 from calib.foundations.showing import shower
 from calib.identification.arrow import Covariance
+from calib.identification.earlier import Earlier
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import NullDirection, Spectrum
 from calib.identification.learned import LearnedPrior
@@ -53,6 +55,7 @@ class Fit:
     ``memories`` and ``repeats``: how rows with times, and rows of one pose, err together, which the covariance
     includes; ``covariance_alone`` (p, p): what it would be if all rows erred independently. ``together``: of every set,
     how rows of a photograph err together, by which they are weighed; empty where none do.
+    ``earlier``: what the errors of an earlier fit do that began this one, if what that has found is held here.
     ``off`` (p,): by how much values that were found in another way are off the least-squares solution, in SI units; the
     covariance includes it.
     """
@@ -88,6 +91,7 @@ class Fit:
     repeats: tuple[Repeats, ...] = ()
     together: tuple[Together | None, ...] = ()
     off: Array | None = None
+    earlier: Earlier | None = None
 
     @property
     def singular_values(self) -> Array:
@@ -129,7 +133,8 @@ class Fit:
     @property
     def sigmas(self) -> Array:
         """Standard deviations (p,) in SI units; nan for what no data and no prior determine."""
-        variances = np.maximum(self.spread.variances, 0.0) + np.sum(self.by_null_space**2, axis=1)
+        moved = np.hstack([self.by_null_space, self.by_earlier])
+        variances = np.maximum(self.spread.variances, 0.0) + np.sum(moved**2, axis=1)
         return np.where(self.unidentifiable, np.nan, np.sqrt(variances))
 
     @property
@@ -139,6 +144,12 @@ class Fit:
         No direction of it moves them much; but along some, as a tool's height that is not seen, the truth is far.
         """
         return np.where(self.unidentifiable[:, None], 0.0, self.along_null_space.factor)
+
+    @property
+    def by_earlier(self) -> Array:
+        """A factor (p, r), in SI units, of what parameters may be off by as what is held of an earlier fit is."""
+        p = len(self.parameters)
+        return np.zeros((p, 0)) if self.earlier is None else self.earlier.factor[:p]
 
     @property
     def correlated(self) -> IntArray:
@@ -168,8 +179,22 @@ class Fit:
 
         Of parameters that are not identifiable it is that of the chosen frame.
         """
-        moved = self.by_null_space[parameters]
+        moved = np.hstack([self.by_null_space, self.by_earlier])[parameters]
         return np.asarray(self.spread.of(parameters) + moved @ moved.T)
+
+    def errors_of(self, names: Sequence[str]) -> Array:
+        """Return a factor (k, r), in SI units, of the covariance of parameters that are free here or held from earlier.
+
+        Zeros are of those that are neither.
+        """
+        number = {parameter.name: k for k, parameter in enumerate(self.parameters)}
+        there = [k for k, name in enumerate(names) if name in number]
+        own = np.array([number[names[k]] for k in there], dtype=np.intp)
+        moved = self.along_null_space.factor[own]
+        U, s, _ = svd(self.spread.of(own) + moved @ moved.T)
+        found = np.zeros((len(names), len(own)))
+        found[there] = U * np.sqrt(s)
+        return found if self.earlier is None else np.hstack([found, self.earlier.of(names)])
 
     def tools_of(self, data: Measurements) -> Array:
         """Return the poses (N, 4, 4) of the tools of rows in the tip link: the tip's own where one is not known.

@@ -15,6 +15,7 @@ from calib.foundations.ranges import RANGES
 from calib.foundations.words import counted, refuse_other
 from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow, Covariance
+from calib.identification.earlier import following
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit, NullSpacePolicy
 from calib.identification.identifiability import NullDirection
@@ -62,7 +63,8 @@ def identify(
     """Identify the free parameters of ``model`` from one or several sets of measurements.
 
     ``free``: names and globs of those parameters of the model that are free this time; all of them when None. What is
-    not free stays as in ``start``, an earlier fit of the same model, or nominal. ``null_space`` says what to do about
+    not free stays as in ``start``, an earlier fit of the same model, or nominal; sigmas, and the uncertainty of the
+    machine, count how sure that fit was. ``null_space`` says what to do about
     directions that the data do not determine: "nearest" takes, among all equal fits, the machine nearest to the nominal
     one; "minimal" holds at nominal what exceeds a minimal set of parameters; "refuse" raises. ``model_sigmas``:
     standard deviations (m or rad) of what the model cannot explain, one for each component of the data (position, then
@@ -73,7 +75,33 @@ def identify(
     IdentificationError when the rows are too few or when there is a null space under "refuse".
     """
     with one_thread():
-        return _identify(model, measurements, free, start, null_space, model_sigmas, losses)
+        found = _identify(model, measurements, free, start, null_space, model_sigmas, losses)
+        return found if start is None else _holding(found, start)
+
+
+def _holding(fit: Fit, start: Fit) -> Fit:
+    """Return the fit with what errors of what it holds from an earlier one do."""
+    known = {parameter.name for parameter in (*start.parameters, *(start.earlier.parameters if start.earlier else ()))}
+    own = {parameter.name for parameter in (*fit.parameters, *fit.held)}
+    every = initial_problem(fit.model, fit.measurements).parameters
+    held = tuple(p for p in every if p.name in known and p.name not in own and not p.nuisance)
+    if not held:
+        return fit
+    parameters, at = (*fit.parameters, *held), fit.machine
+    problem = Problem(
+        fit.model,
+        parameters,
+        at.frames,
+        fit.measurements,
+        at.deviations,
+        fit.model.relations,
+        fit.losses,
+        together=fit.together,
+    )
+    x = values_at(fit.model.robot, parameters, at.frames, at.deviations)
+    sigmas = weights.sigmas_of(problem, fit.variances, fit.residuals)
+    errors = start.errors_of([parameter.name for parameter in held])
+    return replace(fit, earlier=following(problem, x, sigmas, len(fit.parameters), errors))
 
 
 def identify_alike(

@@ -13,6 +13,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import JobError
+from calib.identification.earlier import Earlier
 from calib.identification.fit import Fit
 from calib.identification.losses import scatter_weight
 from calib.identification.machine import Layout, Machine
@@ -77,12 +78,14 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     identified = np.stack([np.nanmin(readings, axis=0), np.nanmax(readings, axis=0)], axis=1)
     errors = errors_by_cause(fit, identified)
     state = _to_state(fit, errors.parameters, errors.at) * scales(errors.parameters)
-    parts = (errors.instrument, errors.unseen, errors.scatter, errors.of_readings)
+    parts = [state @ part for part in (errors.instrument, errors.unseen, errors.scatter, errors.of_readings)]
+    if fit.earlier is not None:  # what has measured there is told no more: its noise counts as the instrument's
+        parts[0] = np.hstack([parts[0], _of_earlier(fit, fit.earlier)])
     own, noises = _of_machine(fit), _parts(fit, errors)
     parameters = [fit.parameters[k] for k in own]
     null_basis = _to_state(fit, parameters, fit.machine) @ (fit.null_basis[own] * scales(parameters)[:, None])
     return Uncertainty(
-        read_only(np.hstack([state @ part for part in parts])),
+        read_only(np.hstack(parts)),
         (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
         errors.left_out,
         read_only(null_basis),
@@ -107,6 +110,11 @@ def measured_factor(fit: Fit) -> Array:
     own = _of_machine(fit)
     parameters = [fit.parameters[k] for k in own]
     return np.asarray(_to_state(fit, parameters, fit.machine) @ _factor(fit.spread.of(own), scales(parameters)))
+
+
+def _of_earlier(fit: Fit, earlier: Earlier) -> Array:
+    own = [k for k, parameter in enumerate(earlier.parameters) if not parameter.nuisance]
+    return _to_state(fit, [earlier.parameters[k] for k in own], fit.machine) @ earlier.factor[own]
 
 
 def _of_machine(fit: Fit) -> IntArray:
