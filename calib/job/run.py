@@ -4,12 +4,14 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from glob import escape
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from calib.assessment.blame import blame
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.suggestions import suggestions
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError, naming
+from calib.foundations.words import listed, noun
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, residuals_of, with_values
 from calib.identification.initialisation.problem import initial_problem
@@ -17,6 +19,7 @@ from calib.identification.total_differential import Trace, total_differential
 from calib.job.inputs import Inputs
 from calib.job.read import Progress
 from calib.job.residuals import residual_model, worse
+from calib.measurement.checks import Finding
 from calib.results.calibration import Calibration, LevelReport, Origin, assess
 
 if TYPE_CHECKING:
@@ -30,6 +33,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
         if choice is not None:
             inputs = replace(inputs, model=choice.model)
         fit, reports = _climb(inputs, progress)
+        inputs = replace(inputs, findings=(*inputs.findings, *_left_behind(fit, inputs)))
         known, values, remark = residual_model(inputs, fit, progress)
         if remark is not None:
             inputs = replace(inputs, findings=(*inputs.findings, remark))
@@ -130,6 +134,22 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
     if found is None:
         raise TypeError("a job with levels has a first one")
     return found, tuple(reports)
+
+
+def _left_behind(fit: Fit, inputs: Inputs) -> list[Finding]:
+    """Return a warning where set-ups or tools are of earlier levels alone: the machine is that of the last one."""
+    own, found = fit.measurements[0], []
+    for what, known, every in (
+        ("set-up", own.setups, [data.setups for data in inputs.identify]),
+        ("tool", own.tools, [data.tools for data in inputs.identify]),
+    ):
+        if lost := [name for name in dict.fromkeys(chain.from_iterable(every)) if name not in known]:
+            sentence = (
+                f"levels: the last one has no rows of the {noun(len(lost), what)} {listed(lost)}, which the results "
+                "therefore do not have; let it take their tables as well, and free them."
+            )
+            found.append(Finding.warning("left-behind", sentence))
+    return found
 
 
 def _knowing(fit: Fit, inputs: Inputs) -> Fit:

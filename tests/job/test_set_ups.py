@@ -70,6 +70,20 @@ def said_of(folder: Path, *sections: str) -> tuple[Path, Path]:
     return job, folder / "out"
 
 
+def test_a_set_up_that_the_last_level_has_no_rows_of_is_told(folder: Path) -> None:
+    """The arm from the left, then where it stands on the right: the results did not know the left any more."""
+    levels = "".join(
+        f'[[levels]]\nname = "{name}"\nmeasurements = [{files}]\nfree = ["{free}"]\n'
+        for name, files, free in (("arm", '"left.csv"', "*"), ("place", '"right.csv"', "base*"))
+    )
+    job, out = said_of(folder, levels, LEFT, RIGHT)
+    said = " ".join(run("calibrate", job, "-o", out).out.split())
+    assert "levels: the last one has no rows of the set-up 'left', which the results therefore do not have" in said
+    job, _ = said_of(folder, levels.replace('["right.csv"]', '["left.csv", "right.csv"]'), LEFT, RIGHT)
+    assert "the last one has no rows" not in " ".join(run("calibrate", job, "-o", out).out.split())
+    assert list(json.loads((out / "result.json").read_text())["setups"]) == ["left", "right"]
+
+
 def test_an_arm_from_two_places(folder: Path) -> None:
     held_out = table("judge", setup="right", tool="ball", use="validate")
     unseen = table("far", setup="far", tool="long", use="validate")
