@@ -12,8 +12,10 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
+from unicodedata import normalize
 
 from calib.foundations.errors import CalibError, OutputError
+from calib.foundations.words import shown
 
 # Far above any input this toolkit meets, and low enough that a wrong path gives a sentence, not a full memory.
 LARGEST_INPUT = 2_000_000_000
@@ -41,10 +43,23 @@ def read_bytes(path: Path, error: type[CalibError], largest: int = LARGEST_INPUT
         try:
             found = path.stat()
         except (FileNotFoundError, NotADirectoryError) as e:
-            raise error(f"{path}: there is no such file.") from e
+            raise error(f"{path}: there is no such file{_alike(path)}.") from e
         if not stat.S_ISREG(found.st_mode):
             raise error(f"{path}: is not a regular file.")
         return _contents(os.open(path, _READ), path, error, largest)
+
+
+def _alike(path: Path) -> str:
+    """Return the end of a sentence: what is there that capitals, or the way accents are written, tell from a name."""
+
+    def key(name: str) -> str:
+        return normalize("NFC", name).casefold()
+
+    with contextlib.suppress(OSError):
+        for there in sorted(path.parent.iterdir()):
+            if key(there.name) == key(path.name) and there.name != path.name:
+                return f"; there is {shown(there.name)}"
+    return ""
 
 
 def read_inside(folder: Path, name: str, error: type[CalibError], largest: int = LARGEST_INPUT) -> bytes:

@@ -32,6 +32,19 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("there", "asked"), [("gro\u0308\u00dfe.csv", "gr\u00f6\u00dfe.csv"), ("Data.CSV", "data.csv")]
+)
+def test_a_name_that_is_written_in_another_way_is_told(there: str, asked: str, tmp_path: Path) -> None:
+    """As a file has it that comes from a system which knows no capitals, or writes accents apart."""
+    (tmp_path / there).write_bytes(b"")
+    if (tmp_path / asked).exists():
+        pytest.skip("this file system takes both for one")
+    with pytest.raises(JobError) as caught:
+        read_bytes(tmp_path / asked, JobError)
+    assert str(caught.value) == f"{tmp_path / asked}: there is no such file; there is {there!r}."
+
+
 def test_read_bytes(tmp_path: Path) -> None:
     path = tmp_path / "a"
     path.write_bytes(b"abc")
