@@ -7,6 +7,7 @@ they were others. Where the earlier rows do not tell, errors are those of the fr
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,9 +21,29 @@ from calib.identification.system import Problem, evaluate
 _SINGULAR = 1e-14
 
 
+class Errors(NamedTuple):
+    """What p parameters may be off by, in SI units: by ``noise`` (p, r), and ``along`` (p, q) the null space.
+
+    Both are factors of covariances. ``null_basis`` (p, k): the null space, one parameter scale along each direction.
+    """
+
+    noise: Array
+    along: Array
+    null_basis: Array
+
+    def of(self, rows: Sequence[int]) -> "Errors":
+        """Return those of some parameters, by number; zeros where that is -1."""
+        which = np.array(rows, dtype=np.intp)
+        return Errors(*(np.vstack([part, np.zeros(part.shape[1])])[which] for part in self))
+
+    def beside(self, other: "Errors") -> "Errors":
+        """Return both, independent of each other."""
+        return Errors(*map(np.hstack, zip(self, other, strict=True)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Earlier:
-    """Errors of an earlier fit: ``factor`` (p, r), in SI units, of what they do to ``parameters`` (p,).
+    """Errors of an earlier fit, as what is held of it has them, and as what is free follows: of ``parameters`` (p,).
 
     Those of the fit that holds what the earlier one has found come first, in its order; then what is held.
     """
@@ -30,27 +51,29 @@ class Earlier:
     __repr__ = brief
 
     parameters: tuple[Parameter, ...]
-    factor: Array
+    errors: Errors
 
-    def of(self, names: Sequence[str]) -> Array:
-        """Return the rows (k, r) of parameters by their names; zeros where one is not known."""
-        rows = {parameter.name: row for parameter, row in zip(self.parameters, self.factor, strict=True)}
-        return np.array([rows.get(name, np.zeros(self.factor.shape[1])) for name in names]).reshape(len(names), -1)
+    def of(self, names: Sequence[str]) -> Errors:
+        """Return the errors of parameters by their names; zeros where one is not known."""
+        number = {parameter.name: k for k, parameter in enumerate(self.parameters)}
+        return self.errors.of([number.get(name, -1) for name in names])
 
 
-def following(problem: Problem, x: Array, sigmas: Sequence[Array], free: int, errors: Array) -> Earlier:
-    """Return what ``errors`` (k, r), in SI units, of the last parameters of a problem do to the ``free`` first ones.
+def following(problem: Problem, x: Array, sigmas: Sequence[Array], free: int, errors: Errors) -> Earlier:
+    """Return what ``errors`` of the last parameters of a problem do to the ``free`` first ones.
 
-    ``x`` (free + k,): where the search has ended; ``sigmas`` (N, d) of every set.
+    ``x`` (p,): where the search has ended; ``sigmas`` (N, d) of every set.
     """
-    parameters = problem.parameters
+    parameters, given = problem.parameters, np.hstack(errors)
     units = scales(parameters)
     hold = np.array([parameter.hold if k < free else 0.0 for k, parameter in enumerate(parameters)])
     rows = evaluate(problem, sigmas, x, problem.targets_apart).rows.whole.held(hold, np.zeros(len(hold)))
     reduced, split = rows.reduced(_SINGULAR), rows.split
     J, own = reduced.rest[:, :-1], split.common < free
-    moved = np.zeros((len(split.common), errors.shape[1]))
-    moved[~own] = (errors / units[free:, None])[split.common[~own] - free]
+    moved = np.zeros((len(split.common), given.shape[1]))
+    moved[~own] = (given / units[free:, None])[split.common[~own] - free]
     U, s, Vt = svd(J[:, own], full_matrices=False)
     moved[own] = -(Vt.T / np.maximum(s, _SINGULAR * s.max(initial=0.0))) @ (U.T @ (J[:, ~own] @ moved[~own]))
-    return Earlier(parameters, read_only(units[:, None] * split.whole(moved, reduced.follow @ moved)))
+    found = units[:, None] * split.whole(moved, reduced.follow @ moved)
+    ends = np.cumsum([part.shape[1] for part in errors])[:-1]
+    return Earlier(parameters, Errors(*map(read_only, np.split(found, ends, axis=1))))

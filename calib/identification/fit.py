@@ -11,7 +11,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.linear import svd
 from calib.foundations.showing import shower
 from calib.identification.arrow import Covariance
-from calib.identification.earlier import Earlier
+from calib.identification.earlier import Earlier, Errors
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import NullDirection, Spectrum
 from calib.identification.learned import LearnedPrior
@@ -149,7 +149,7 @@ class Fit:
     def by_earlier(self) -> Array:
         """A factor (p, r), in SI units, of what parameters may be off by as what is held of an earlier fit is."""
         p = len(self.parameters)
-        return np.zeros((p, 0)) if self.earlier is None else self.earlier.factor[:p]
+        return np.zeros((p, 0)) if self.earlier is None else np.hstack(self.earlier.errors[:2])[:p]
 
     @property
     def correlated(self) -> IntArray:
@@ -182,19 +182,16 @@ class Fit:
         moved = np.hstack([self.by_null_space, self.by_earlier])[parameters]
         return np.asarray(self.spread.of(parameters) + moved @ moved.T)
 
-    def errors_of(self, names: Sequence[str]) -> Array:
-        """Return a factor (k, r), in SI units, of the covariance of parameters that are free here or held from earlier.
-
-        Zeros are of those that are neither.
-        """
+    def errors_of(self, names: Sequence[str]) -> Errors:
+        """Return the errors of parameters that are free here or held from earlier; zeros of those that are neither."""
         number = {parameter.name: k for k, parameter in enumerate(self.parameters)}
-        there = [k for k, name in enumerate(names) if name in number]
-        own = np.array([number[names[k]] for k in there], dtype=np.intp)
-        moved = self.along_null_space.factor[own]
-        U, s, _ = svd(self.spread.of(own) + moved @ moved.T)
-        found = np.zeros((len(names), len(own)))
-        found[there] = U * np.sqrt(s)
-        return found if self.earlier is None else np.hstack([found, self.earlier.of(names)])
+        own = [number[name] for name in names if name in number]
+        U, s, _ = svd(self.spread.of(own))
+        noise = np.zeros((len(self.parameters), len(own)))
+        noise[own] = U * np.sqrt(s)
+        null_basis = scales(self.parameters)[:, None] * self.null_basis
+        found = Errors(noise, self.along_null_space.factor, null_basis).of([number.get(name, -1) for name in names])
+        return found if self.earlier is None else found.beside(self.earlier.of(names))
 
     def tools_of(self, data: Measurements) -> Array:
         """Return the poses (N, 4, 4) of the tools of rows in the tip link: the tip's own where one is not known.

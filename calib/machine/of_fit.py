@@ -13,7 +13,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import JobError
-from calib.identification.earlier import Earlier
+from calib.identification.earlier import Earlier, Errors
 from calib.identification.fit import Fit
 from calib.identification.losses import scatter_weight
 from calib.identification.machine import Layout, Machine
@@ -79,11 +79,13 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     errors = errors_by_cause(fit, identified)
     state = _to_state(fit, errors.parameters, errors.at) * scales(errors.parameters)
     parts = [state @ part for part in (errors.instrument, errors.unseen, errors.scatter, errors.of_readings)]
-    if fit.earlier is not None:  # what has measured there is told no more: its noise counts as the instrument's
-        parts[0] = np.hstack([parts[0], _of_earlier(fit, fit.earlier)])
     own, noises = _of_machine(fit), _parts(fit, errors)
     parameters = [fit.parameters[k] for k in own]
     null_basis = _to_state(fit, parameters, fit.machine) @ (fit.null_basis[own] * scales(parameters)[:, None])
+    if fit.earlier is not None:  # what has measured there is told no more: its noise counts as the instrument's
+        earlier = _of_earlier(fit, fit.earlier)
+        parts[0], parts[1] = np.hstack([parts[0], earlier.noise]), np.hstack([parts[1], earlier.along])
+        null_basis = np.hstack([null_basis, earlier.null_basis])
     return Uncertainty(
         read_only(np.hstack(parts)),
         (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
@@ -112,9 +114,11 @@ def measured_factor(fit: Fit) -> Array:
     return np.asarray(_to_state(fit, parameters, fit.machine) @ _factor(fit.spread.of(own), scales(parameters)))
 
 
-def _of_earlier(fit: Fit, earlier: Earlier) -> Array:
+def _of_earlier(fit: Fit, earlier: Earlier) -> Errors:
+    """Return the errors of an earlier fit in the machine's state."""
     own = [k for k, parameter in enumerate(earlier.parameters) if not parameter.nuisance]
-    return _to_state(fit, [earlier.parameters[k] for k in own], fit.machine) @ earlier.factor[own]
+    to_state = _to_state(fit, [earlier.parameters[k] for k in own], fit.machine)
+    return Errors(*(to_state @ part for part in earlier.errors.of(own)))
 
 
 def _of_machine(fit: Fit) -> IntArray:

@@ -75,10 +75,10 @@ def test_what_is_free_follows_what_is_held() -> None:
     p = len(fit.parameters)
     names = [parameter.name for parameter in fit.earlier.parameters[p:]]
     assert names == [*(f"base.{axis}" for axis in ("x", "y", "z", "rx", "ry", "rz")), "tool.x", "tool.y", "tool.z"]
-    held = fit.earlier.factor[p:]
-    np.testing.assert_allclose(held, first.errors_of(names), rtol=1e-9, atol=1e-15)
+    told, held = (np.hstack(fit.earlier.errors)[part] for part in (slice(p), slice(p, None)))
+    np.testing.assert_allclose(held, np.hstack(first.errors_of(names)), rtol=1e-9, atol=1e-15)
     frames = first.machine.frames
-    told = fit.earlier.factor[:p] / np.linalg.norm(held, axis=0)
+    told = told / np.linalg.norm(held, axis=0)
     for k in np.argsort(-np.linalg.norm(told, axis=0))[:3]:
         by = 2e-5 * held[:, k] / np.linalg.norm(held[:, k])
         base, tool = (
@@ -90,6 +90,17 @@ def test_what_is_free_follows_what_is_held() -> None:
         again = calib.identify(model, more, free=["*.offset"], start=start)
         moved = (again.values - fit.values) / 2e-5
         np.testing.assert_allclose(moved, told[:, k], atol=0.01 * np.abs(told[:, k]).max())
+
+
+def test_an_orientation_that_the_first_level_did_not_see_is_not_known() -> None:
+    """Positions do not tell how the flange turns about the tool; with the base alone free, that seemed known."""
+    session = Session(*UR10, 2)
+    once = calib.identify(session.model, session.measured(40))
+    fit = calib.identify(session.model, session.measured(10), free=["base.*"], start=once)
+    maps = [calib.judging.uncertainty_map(calib.machine_of(one), 200) for one in (once, fit)]
+    assert [one.known_shares() for one in maps] == [{"position": 1.0, "orientation": 0.0}] * 2
+    turns = [np.sqrt(np.mean(one.sigmas[:, 1] ** 2)) for one in maps]
+    assert turns[1] > 0.5 * turns[0]
 
 
 def test_nothing_is_counted_where_all_is_free_again() -> None:
@@ -110,6 +121,6 @@ def test_three_levels_hand_on_what_the_first_did_not_know() -> None:
     assert placed
     assert second.earlier is not None
     np.testing.assert_allclose(
-        np.sum(third.earlier.of(placed) ** 2, axis=1), np.sum(second.earlier.of(placed) ** 2, axis=1), rtol=1e-9
+        *(np.sum(np.hstack(one.of(placed)[:2]) ** 2, axis=1) for one in (third.earlier, second.earlier)), rtol=1e-9
     )
     assert session.inside(third)[0] > 0.9
