@@ -5,7 +5,8 @@ import re
 import warnings
 import zipfile
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, BinaryIO
+from xml.etree.ElementTree import Element, iterparse
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
@@ -25,7 +26,6 @@ _LAST_ROW = 1_048_576
 _PLACE = re.compile(
     rb"""<(?:\w+:)?(?:row\s(?:[^<>]*?\s)?r=["'](\d{1,20})|c\s(?:[^<>]*?\s)?r=["']([A-Z]{1,3})\d{1,20})["']"""
 )
-_FORMULA = re.compile(rb"<(?:\w+:)?f[\s/>]")
 # openpyxl looks for dates in the format of every style, in a time that grows with the square of its length.
 _FORMAT = re.compile(rb"""formatCode\s*=\s*["']([^"'<]*)""")
 _MOST_OF_FORMATS = 2_000_000_000
@@ -47,17 +47,17 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             _refuse_bombs(archive, len(data), where)
-            sheets = [archive.read(name).replace(b"\0", b"") for name in _sheets(data, where)]  # UTF-16 as well
-        for sheet in sheets:
-            _refuse_order(sheet, where)
-        formulas = any(map(_FORMULA.search, sheets))
+            for name in _sheets(data, where):
+                _refuse_order(archive.read(name).replace(b"\0", b""), where)  # UTF-16 as well
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and extensions that are not needed
-            book = _opened(data, data_only=True)
-            shown = next((k for k, sheet in enumerate(book.worksheets) if sheet.sheet_state == "visible"), 0)
-            rows = _rows(book.worksheets[shown], where)
+            book = _opened(data)
+            first = next((sheet for sheet in book.worksheets if sheet.sheet_state == "visible"), book.worksheets[0])
+            rows = _rows(first, where)
+            # Not by openpyxl, which works out a shared formula for every cell that has it, however long it is.
+            with first._get_source() as part:
+                uncomputed = _uncomputed(part)
             book.close()
-            uncomputed = _uncomputed(data, shown) if formulas else ""
     except MeasurementError:
         raise
     except (zipfile.BadZipFile, *DAMAGED) as e:
@@ -108,25 +108,25 @@ def _sheets(data: bytes, where: str) -> list[str]:
     return found
 
 
-def _opened(data: bytes, *, data_only: bool) -> Any:
+def _opened(data: bytes) -> Any:
     """Return a workbook of openpyxl with texts, formats and sheets, and nothing else.
 
     Its load_workbook also takes names of cells apart, by expressions that can take a time without end.
     """
     from openpyxl.styles.stylesheet import apply_stylesheet  # noqa: PLC0415 - an extra
 
-    reader = _begun(data, data_only=data_only)
+    reader = _begun(data)
     reader.read_strings()
     apply_stylesheet(reader.archive, reader.wb)
     reader.read_worksheets()
     return reader.wb
 
 
-def _begun(data: bytes, *, data_only: bool = True) -> Any:
+def _begun(data: bytes) -> Any:
     """Return a reader of openpyxl that knows what is in a workbook."""
     from openpyxl.reader.excel import ExcelReader  # noqa: PLC0415 - an extra
 
-    reader = ExcelReader(io.BytesIO(data), read_only=True, data_only=data_only, keep_links=False)
+    reader = ExcelReader(io.BytesIO(data), read_only=True, data_only=True, keep_links=False)
     reader.read_manifest()
     reader.read_workbook()
     return reader
@@ -183,21 +183,25 @@ def _rows(sheet: Any, where: str) -> list[list[str]]:
     return rows
 
 
-def _uncomputed(data: bytes, shown: int) -> str:
-    """Return the first cell of a sheet with a formula and no value, "" where there is none."""
-    books = [_opened(data, data_only=only) for only in (False, True)]
-    try:
-        sheets = [book.worksheets[shown] for book in books]
-        for sheet in sheets:
-            sheet.reset_dimensions()  # so that a row that is left out has no cells
-        for row in zip(*(sheet.iter_rows() for sheet in sheets), strict=True):
-            for formula, computed in zip(*row, strict=True):
-                if formula.data_type == "f" and computed.value is None:
-                    return str(formula.coordinate)
-    finally:
-        for book in books:
-            book.close()
+def _uncomputed(part: BinaryIO) -> str:
+    """Return the first cell of a sheet with a formula and no value, "" where there is none.
+
+    What was computed may be an empty text.
+    """
+    for _, element in iterparse(part):  # noqa: S314 - without a document type
+        name = _local(element)
+        if name == "c":
+            inside = {_local(child): child for child in element}
+            computed = "v" in inside and (inside["v"].text or element.get("t") == "str")
+            if "f" in inside and not computed:
+                return element.get("r", "?")
+        if name == "row":
+            element.clear()
     return ""
+
+
+def _local(element: Element) -> str:
+    return element.tag.rpartition("}")[2]
 
 
 def _cell(value: object) -> str:
