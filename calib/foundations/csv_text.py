@@ -16,10 +16,12 @@ _LONGEST_LINE = 2_000
 # With these a formula begins, also in the widths of East Asian keyboards, of which some spreadsheets make plain signs.
 _SIGNS = "=+\\-@\uff1d\uff0b\uff0d\uff20\ufe66\ufe62\ufe63\ufe6b"
 _SEPARATORS = ",;|\t\n\r\v\f\x1c-\x1e\x85\u2028\u2029"
-# What may begin a cell: spaces and quotes before it are taken off by some spreadsheets.
-_BEGINNING = re.compile(rf"(^|[{_SEPARATORS}])([\s\"]*)(?=([{_SIGNS}][^{_SEPARATORS}]*))")
+# Before it may stand what some spreadsheets take off: spaces, quotes, and what has no width, as the mark of a file.
+_BEFORE = r"[\s\"\0\u200b\ufeff]*"
+# What may begin a cell.
+_BEGINNING = re.compile(rf"(^|[{_SEPARATORS}])({_BEFORE})(?=([{_SIGNS}][^{_SEPARATORS}]*))")
 # The apostrophe that stands before it in our own files.
-_MARK = re.compile(rf"((?:^|[{_SEPARATORS}])[\s\"]*)'(?=[{_SIGNS}])")
+_MARK = re.compile(rf"((?:^|[{_SEPARATORS}]){_BEFORE})'(?=[{_SIGNS}])")
 # "#" begins a comment in our own tables.
 _TO_QUOTE = re.compile(rf"[\"#{_SEPARATORS}]")
 # "+" and "-" alone are sides of approach.

@@ -131,6 +131,9 @@ def test_cells() -> None:
         ("1,-2;+3.5", '"1,-2;+3.5"'),
         ("a;b", '"a;b"'),
         ("# a", '"# a"'),
+        ("\ufeff=1+1", "\ufeff'=1+1"),  # at the start of a file the mark goes, and leaves a formula
+        ("a;\u200b @sum", "\"a;\u200b '@sum\""),
+        ("\0-b", "\0'-b"),
     ],
 )
 def test_cells_of_other_separators_and_widths(word: str, written: str) -> None:
