@@ -132,7 +132,7 @@ def test_cells() -> None:
         ("a;b", '"a;b"'),
         ("# a", '"# a"'),
         ("\ufeff=1+1", "\ufeff'=1+1"),  # at the start of a file the mark goes, and leaves a formula
-        ("a;\u200b @sum", "\"a;\u200b '@sum\""),
+        ("a;\u200b @sum", '"a;\u200b \'@sum"'),
         ("\0-b", "\0'-b"),
     ],
 )
