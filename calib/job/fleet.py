@@ -287,8 +287,9 @@ def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[D
 def _ending_in_order() -> Iterator[None]:
     """Let SIGTERM end the block as Ctrl-C does, so that it ends its processes and takes back what they shared.
 
-    Else the helper of joblib, which lives longer, tells of all that was left. The exit code is the one of the signal.
-    Ctrl-C is heard once: pressed again, it would leave workers that live and have no more what they share, and say so.
+    So does a terminal that is closed. Else the helper of joblib, which lives longer, tells of all that was left. The
+    exit code is the one of the signal. Ctrl-C is heard once: pressed again, it would leave workers that live and have
+    no more what they share, and say so.
     """
 
     def told(number: int, _: FrameType | None) -> NoReturn:
@@ -299,8 +300,8 @@ def _ending_in_order() -> Iterator[None]:
         signal.signal(number, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    ends = _heard(signal.SIGTERM, signal.SIG_DFL, told)
-    with ends, _heard(signal.SIGINT, signal.default_int_handler, pressed):
+    ends, closed = (_heard(number, signal.SIG_DFL, told) for number in (signal.SIGTERM, signal.SIGHUP))
+    with ends, closed, _heard(signal.SIGINT, signal.default_int_handler, pressed):
         yield
 
 

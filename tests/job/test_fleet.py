@@ -309,13 +309,18 @@ def test_a_fault_of_this_program_costs_its_job_alone(folder: Path, monkeypatch: 
     )
 
 
-@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL], ids=["Ctrl-C", "ended", "killed"])
+@pytest.mark.parametrize(
+    "by",
+    [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL],
+    ids=["Ctrl-C", "ended", "terminal closed", "killed"],
+)
 def test_what_is_finished_is_kept_and_the_workers_end(folder: Path, by: signal.Signals) -> None:
     many = [f"job_{k}.toml" for k in range(12)]
     for name in many:
         (folder / "jobs" / name).write_bytes((folder / "jobs/plain.toml").read_bytes())
     # Where the tests themselves run in the background, Ctrl-C is ignored, and that is inherited.
-    listening = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {MAIN}"
+    heard = "signal.signal(signal.SIGINT, signal.default_int_handler); signal.signal(signal.SIGHUP, signal.SIG_DFL)"
+    listening = f"import signal; {heard}; {MAIN}"
     command = [sys.executable, "-W", "error", "-c", listening, "fleet", *jobs(*many), "-j", "2"]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, process_group=0)
     while running.poll() is None and not list(folder.glob("fleet/job_*/result.json")):
@@ -326,10 +331,10 @@ def test_what_is_finished_is_kept_and_the_workers_end(folder: Path, by: signal.S
         os.killpg(running.pid, by)  # as a terminal does
         said = "Error: interrupted; what is finished is kept, and the same command goes on with the rest.\n"
         assert (running.wait(), *running.communicate()) == (130, "", said)
-    elif by == signal.SIGTERM:
-        running.terminate()
+    elif by in (signal.SIGTERM, signal.SIGHUP):
+        running.send_signal(by)
         # What minds their resources, and has the same standard error, has nothing to tell of.
-        assert (running.wait(), *running.communicate()) == (143, "", "")
+        assert (running.wait(), *running.communicate()) == (128 + by, "", "")
     else:
         running.kill()
         running.wait()
