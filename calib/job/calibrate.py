@@ -34,10 +34,15 @@ def calibrate(
     return calibrated(Path(job), Path(out), progress, expect)[0]
 
 
-def calibrated(job: Path, out: Path, progress: Progress, expect: Callable[[int], None]) -> tuple[Calibration, Report]:
-    """Do what :func:`calibrate` does; return the report that was written as well."""
+def calibrated(
+    job: Path, out: Path, progress: Progress, expect: Callable[[int], None], *, meant: Path | None = None
+) -> tuple[Calibration, Report]:
+    """Do what :func:`calibrate` does; return the report that was written as well.
+
+    ``meant``: the only folder that ``out`` may lead to; else the one that it leads to now.
+    """
     with one_thread():
-        meant = real_folder(out)
+        meant = real_folder(out) if meant is None else meant
         inputs = load(job, progress)
         refuse_folder(meant, inputs.files)
         expect(steps_after_loading(inputs))

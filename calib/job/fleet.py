@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from calib.foundations.folders import reading_folder, real_folder, refuse_unwrit
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.foundations.version import __version__
 from calib.foundations.words import shown
-from calib.job.calibrate import calibrate
+from calib.job.calibrate import calibrated
 from calib.job.read import Progress
 from calib.results.calibration import versions
 from calib.results.folder import ALWAYS, RESULT_FILE, TO_BE_SEEN, read_result
@@ -61,12 +61,14 @@ class FleetJob:
 class Done:
     """What has become of a job. ``failure``: why it has no results, in a sentence.
 
-    ``earlier``: an earlier run made its results, of the very same inputs by the very same versions.
+    ``earlier``: an earlier run made its results, of the very same inputs by the very same versions. ``inputs``: SHA-256
+    of what its results were made of, by name; others may be in its folder by the time that it is read.
     """
 
     job: FleetJob
     failure: str | None = None
     earlier: bool = False
+    inputs: Mapping[str, str] | None = None
 
 
 def fleet_jobs(paths: Sequence[Path], out: Path) -> tuple[FleetJob, ...]:
@@ -110,6 +112,11 @@ def _refuse_fleet(out: Path) -> None:
     refuse_unwritable(out)
     if os.path.lexists(out / RESULT_FILE):
         raise OutputError(f"{out}: holds the results of one job, which nothing else may be in; choose another folder.")
+    refuse_other_summary(out)
+
+
+def refuse_other_summary(out: Path) -> None:
+    """Raise OutputError where the summary of a fleet would take the place of a file that is none."""
     there = [name for name in SUMMARIES if os.path.lexists(out / name)]
     if there and not _is_summary(out / SUMMARY_JSON):
         raise OutputError(f"{out / there[0]}: is no summary of a fleet, and would be replaced by one; choose a folder.")
@@ -125,18 +132,24 @@ def _is_summary(path: Path) -> bool:
 
 def unchanged(job: FleetJob) -> bool:
     """Return whether a job's folder holds whole results of its very inputs, byte by byte, made by these versions."""
+    return _made_of(job) is not None
+
+
+def _made_of(job: FleetJob) -> Mapping[str, str] | None:
+    """Return the hashes of a job's inputs where its results are :func:`unchanged`."""
     try:
         with reading_folder(job.out):
             there = {entry.name for entry in job.out.iterdir()}
             result = read_result(job.out)
-        return (
+        same = (
             there.issuperset((*ALWAYS, *TO_BE_SEEN))
             and result.versions == versions()
             and job.path.name in result.inputs
             and all(_hash(job, name) == known for name, known in result.inputs.items())
         )
+        return result.inputs if same else None
     except (CalibError, OSError, ValueError):
-        return False
+        return None
 
 
 def _hash(job: FleetJob, name: str) -> str:
@@ -160,7 +173,8 @@ def run_fleet(
     does not stop the others. A job whose results are :func:`unchanged` is not run, unless ``again``. ``progress`` is
     told of every job that has ended. Raises JobError when the cluster cannot be reached or has no worker left.
     """
-    done = {job.name: Done(job, earlier=True) for job in jobs if not again and unchanged(job)}
+    made = {} if again else {job.name: _made_of(job) for job in jobs}
+    done = {job.name: Done(job, earlier=True, inputs=made[job.name]) for job in jobs if made.get(job.name) is not None}
     waiting = [job for job in jobs if job.name not in done]
     if waiting or dask is not None:  # an address with a mistake is told also where there is nothing to do
         with _local(workers, waiting) if dask is None else _cluster(dask, waiting) as finished:
@@ -227,14 +241,16 @@ def _one(job: FleetJob, folder: str) -> Done:
         return Done(job, f"{job.path}: its process does not see {folder} ({e.strerror}); workers need the same files.")
     try:
         _refuse_link(job)
-        calibrate(job.path, job.out)
+        # Nor may it become a link from now on.
+        own = real_folder(job.out.parent) / job.out.name
+        found, _ = calibrated(job.path, job.out, lambda _: None, lambda _: None, meant=own)
     except CalibError as e:
         return Done(job, str(e))
     except Exception as e:  # noqa: BLE001 - a fault of this program in one job is not to cost the others
         return Done(
             job, f"{job.path}: met a fault of this program ({type(e).__name__}: {e}); calib calibrate shows it."
         )
-    return Done(job)
+    return Done(job, inputs=dict(found.origin.hashes))
 
 
 def _on_worker(job: FleetJob, folder: str, version: str) -> Done:

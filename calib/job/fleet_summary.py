@@ -12,7 +12,7 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
 from calib.foundations.json_text import document
-from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, Done
+from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, Done, refuse_other_summary
 from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report
 from calib.presentation.report.page import render_page
 from calib.presentation.sheets import SHOWN
@@ -31,7 +31,11 @@ def _line(done: Done) -> JobLine:
     if done.failure is not None:
         return JobLine(job.name, file, "failed", (done.failure,))
     try:
-        return _calibrated(job.name, file, read_result(job.out))
+        result = read_result(job.out)
+        if done.inputs not in (None, result.inputs):
+            why = f"{job.out}: holds the results of other inputs, which another run has written there meanwhile."
+            return JobLine(job.name, file, "failed", (why,))
+        return _calibrated(job.name, file, result)
     except OutputError as e:
         return JobLine(job.name, file, "failed", (str(e),))
     except KeyError:  # somebody else writes to this folder
@@ -78,7 +82,11 @@ def summary_csv(lines: Sequence[JobLine]) -> str:
 
 
 def write_summary(lines: Sequence[JobLine], out: Path) -> None:
-    """Write the page and both summaries of a fleet into its folder. Raises OutputError as ``write_atomically`` does."""
+    """Write the page and both summaries of a fleet into its folder.
+
+    Raises OutputError as ``write_atomically`` does, and where a file of somebody else has come to be there.
+    """
+    refuse_other_summary(out)
     for name, contents in (
         (SUMMARY_JSON, document(summary(lines))),
         (SUMMARY_CSV, summary_csv(lines)),

@@ -26,7 +26,7 @@ from calib.foundations import files
 from calib.foundations.errors import JobError, OutputError
 from calib.job import fleet as fleets
 from calib.job.fleet import Done, FleetJob, fleet_jobs, run_fleet, unchanged
-from calib.job.fleet_summary import fleet_lines
+from calib.job.fleet_summary import fleet_lines, write_summary
 from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report, fleet_sheet
 from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
@@ -210,7 +210,7 @@ def test_folders_that_cannot_take_a_summary(folder: Path, monkeypatch: pytest.Mo
         fleet_jobs([], folder / "a/b")
 
 
-def test_a_folder_of_a_job_that_is_a_link_is_not_followed(folder: Path) -> None:
+def test_a_folder_of_a_job_that_is_a_link_is_not_followed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where it is made while others run."""
     assert run("calibrate", "jobs/plain.toml", "-o", "precious", "-q").code == 0
     before = tree(folder / "precious")
@@ -220,7 +220,37 @@ def test_a_folder_of_a_job_that_is_a_link_is_not_followed(folder: Path) -> None:
     why = "fleet/plain: is a link, and results would replace what it leads to; remove it."
     assert run("fleet", "jobs/plain.toml") == (1, "", f"Error: {why}\n")
     assert fleets._one(job, str(folder)) == Done(job, why)
+    # Also where it becomes one a moment after it was looked at.
+    monkeypatch.setattr(fleets, "_refuse_link", lambda _: None)
+    failure = fleets._one(job, str(folder)).failure
+    assert failure == (
+        f"fleet/plain: leads to {folder / 'precious'} now, and led to {folder / 'fleet/plain'} when the work began; "
+        "run it again."
+    )
     assert tree(folder / "precious") == before
+
+
+def test_results_that_another_run_has_put_in_their_place_are_not_told_as_those_of_a_job(folder: Path) -> None:
+    (job,) = fleet_jobs([Path("jobs/plain.toml")], Path("all"))
+    why = f"{job.out}: holds the results of other inputs, which another run has written there meanwhile."
+    for earlier in (False, True):
+        finished = run_fleet([job], workers=1)
+        assert finished[0].earlier == earlier
+        assert fleet_lines(finished)[0].word == "trusted"
+        assert run("calibrate", "jobs/fewer.toml", "-o", "all/plain", "-q").code == 0
+        (line,) = fleet_lines(finished)
+        assert (line.word, line.why, line.report) == ("failed", (why,), None)
+        assert run("calibrate", "jobs/plain.toml", "-o", "all/plain", "-q").code == 0
+
+
+def test_a_file_that_somebody_wrote_while_a_fleet_ran_is_not_replaced(folder: Path) -> None:
+    (folder / "all").mkdir()
+    fleet_jobs([Path("jobs/plain.toml")], Path("all"))
+    (folder / "all/summary.csv").write_text("mine")
+    with pytest.raises(OutputError, match=r"all/summary\.csv: is no summary of a fleet, and would be replaced by one"):
+        write_summary([], Path("all"))
+    assert [path.name for path in (folder / "all").iterdir()] == ["summary.csv"]
+    assert (folder / "all/summary.csv").read_text() == "mine"
 
 
 def test_a_fleet_that_cannot_be_written_leaves_no_empty_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -288,14 +318,14 @@ def test_no_more_processes_are_started_than_there_are_jobs(folder: Path, monkeyp
         return configured("threading", n_jobs=1)
 
     monkeypatch.setattr(joblib, "parallel_config", config)
-    monkeypatch.setattr(fleets, "calibrate", lambda *_: 1 / 0)
+    monkeypatch.setattr(fleets, "calibrated", lambda *_, **__: 1 / 0)
     for workers in (100_000, 2, 1):
         list(run_fleet(fleet_jobs([Path("jobs/plain.toml")], Path("all")), workers=workers))
     assert asked == [2, 2, 1]
 
 
 def test_a_fault_of_this_program_costs_its_job_alone(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fleets, "calibrate", lambda *_: 1 / 0)
+    monkeypatch.setattr(fleets, "calibrated", lambda *_, **__: 1 / 0)
     (done,) = run_fleet(fleet_jobs([Path("jobs/plain.toml")], Path("all")), workers=1)
     assert done.failure == (
         "jobs/plain.toml: met a fault of this program (ZeroDivisionError: division by zero); calib calibrate shows it."
