@@ -81,3 +81,7 @@ class IdentificationError(CalibError, ValueError):
 
 class OutputError(CalibError, OSError):
     """The results cannot be written or read back."""
+
+
+class KeptError(OutputError):
+    """Another run keeps a folder for now."""

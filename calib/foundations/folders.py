@@ -22,7 +22,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.foundations.errors import CalibError, OutputError
+from calib.foundations.errors import CalibError, KeptError, OutputError
 from calib.foundations.files import (
     create,
     encoded,
@@ -163,11 +163,12 @@ def refuse_kept(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def reading_folder(path: Path) -> Iterator[None]:
+def reading_folder(path: Path, patience: float = _PATIENCE) -> Iterator[None]:
     """Keep a folder as it is while the block reads it: another run waits before it replaces it.
 
     What a killed run left is put right first. Whether there is such a folder, the block finds out. Raises OutputError
-    when what was left cannot be put right, or another run keeps the folder for too long.
+    when what was left cannot be put right; KeptError when another run keeps the folder for longer than ``patience``, in
+    seconds.
     """
     with contextlib.ExitStack() as closing:
         place = None
@@ -179,11 +180,11 @@ def reading_folder(path: Path) -> Iterator[None]:
             yield
             return
         while True:
-            with _locked(place, fcntl.LOCK_SH):
+            with _locked(place, fcntl.LOCK_SH, patience):
                 if _settled(place):
                     yield
                     return
-            _recover(place)
+            _recover(place, patience)
 
 
 def _settled(place: _Place) -> bool:
@@ -350,9 +351,10 @@ def _list_in(folder: int) -> frozenset[str] | None:
         return None
 
 
-def _recover(place: _Place) -> None:
+def _recover(place: _Place, patience: float) -> None:
     """Put right what a killed run left: where only the old folder is there, aside, it takes its place again."""
-    with _telling(place.path, "what an interrupted run left cannot be repaired"), _locked(place, fcntl.LOCK_EX):
+    telling = _telling(place.path, "what an interrupted run left cannot be repaired")
+    with telling, _locked(place, fcntl.LOCK_EX, patience):
         for work in _works(place):
             _put_back(place, work)
 
@@ -367,16 +369,16 @@ def _clean(place: _Place) -> None:
 
 
 @contextlib.contextmanager
-def _locked(place: _Place, kind: int) -> Iterator[None]:
+def _locked(place: _Place, kind: int, patience: float = _PATIENCE) -> Iterator[None]:
     """Hold a lock on the folder above.
 
     The folder itself is locked: nothing is left behind, and readers need not write. A file system that has no such
-    locks does without. Raises OutputError when another run holds it for too long.
+    locks does without. Raises KeptError when another run holds it for too long.
     """
-    until = time.monotonic() + _PATIENCE
+    until = time.monotonic() + patience
     while (had := _had(place.above, kind)) is None:
         if time.monotonic() > until:
-            raise OutputError(f"{place.path}: another run is writing here; try again when it has ended.")
+            raise KeptError(f"{place.path}: another run is writing here; try again when it has ended.")
         time.sleep(_LOOK)
     try:
         yield

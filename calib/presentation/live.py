@@ -8,6 +8,7 @@ what moves is computed by the calibrated model.
 import contextlib
 import json
 import os
+import time
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from calib.foundations.errors import CalibError, OutputError, PoseError
+from calib.foundations.errors import CalibError, KeptError, OutputError, PoseError
 from calib.foundations.files import read_inside, stamp
 from calib.foundations.folders import reading_folder
 from calib.foundations.units import MM, UNITS
@@ -27,6 +28,8 @@ from calib.robot.robot import Deviations
 
 # How often a folder is looked at for newer results, in s.
 _EVERY = 1.0
+# How often a page is looked for where another run keeps the folder, and for how long, in s.
+_AGAIN, _PATIENCE = 0.1, 30.0
 # Shown of joints without limits: one turn, or one metre, to both sides.
 _TURN, _METRE = np.pi, 1.0
 _LONGEST_MESSAGE = 100_000
@@ -42,19 +45,25 @@ def serve(
     ``page`` and ``others``: names of the pages in the folder, the first one also without a name. ``port`` 0: any free
     one. ``started`` is told the address. Raises OutputError when there is nothing to show, or no port.
     """
+    seen = stamp(folder)
     model = load_machine(folder)
     if not os.path.lexists(folder / page):
         raise OutputError(f"{folder}: holds no {page}; run calib calibrate again.")
     read_inside(folder, page, OutputError, _LARGEST_PAGE)
 
     async def run() -> None:
-        await _run(folder, model, (page, *others), port, started)
+        await _run(folder, model, seen, (page, *others), port, started)
 
     return run
 
 
 async def _run(
-    folder: Path, model: CalibratedMachine, pages: tuple[str, ...], port: int, started: Callable[[str], None]
+    folder: Path,
+    model: CalibratedMachine,
+    seen: tuple[int, int, int] | None,
+    pages: tuple[str, ...],
+    port: int,
+    started: Callable[[str], None],
 ) -> None:
     import asyncio  # noqa: PLC0415 - calib must load none of these on import
 
@@ -65,13 +74,21 @@ async def _run(
     pages_open: set[Any] = set()
 
     class Page(Guarded):
-        def get(self, name: str) -> None:
-            try:
-                with reading_folder(folder):
-                    contents = read_inside(folder, name or pages[0], OutputError, _LARGEST_PAGE)
-                self.finish(contents)
-            except OutputError:  # a page that older results have not, or that is a link or no file
-                self.send_error(404)
+        async def get(self, name: str) -> None:
+            # The lock is not waited for at once: nobody else would be answered meanwhile, nor Ctrl-C heard.
+            until = time.monotonic() + _PATIENCE
+            while time.monotonic() < until:
+                try:
+                    with reading_folder(folder, patience=0.0):
+                        contents = read_inside(folder, name or pages[0], OutputError, _LARGEST_PAGE)
+                    self.finish(contents)
+                    return
+                except KeptError:
+                    await asyncio.sleep(_AGAIN)
+                except OutputError:  # a page that older results have not, or that is a link or no file
+                    self.send_error(404)
+                    return
+            self.send_error(503)
 
     class Live(Guarded, WebSocketHandler):
         def prepare(self) -> None:
@@ -103,13 +120,13 @@ async def _run(
     routes = [(rf"/({names})?", Page), ("/live", Live)]
     async with listening(routes, port, websocket_max_message_size=_LONGEST_MESSAGE) as address:
         started(address)
-        seen = stamp(folder)
         while True:
             await asyncio.sleep(_EVERY)
             now = stamp(folder)
             if now not in (seen, None):
                 try:
-                    model, seen = load_machine(folder), now
+                    with reading_folder(folder, patience=0.0):
+                        model, seen = load_machine(folder), now
                 except CalibError:  # half way through an exchange; the next look finds it
                     continue
                 telling = [asyncio.create_task(page.tell({"reload": True})) for page in pages_open]

@@ -1,6 +1,7 @@
 """The scene served live: to this machine alone, on one port, with joints that a person moves."""
 
 import asyncio
+import fcntl
 import json
 import os
 import re
@@ -14,6 +15,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,7 @@ import numpy as np
 import psutil
 import pytest
 
+from calib.foundations.files import opened_folder
 from calib.job.inputs import load
 from calib.job.run import run as identify
 from calib.machine.model_file import load_machine
@@ -226,6 +229,28 @@ def test_bad_folders_and_ports_are_said_in_a_sentence(out: Path, tmp_path: Path)
     said = run("view", out)
     assert (said.code, said.err) == (1, f"Error: {out}: holds no scene.html; run calib calibrate again.\n")
     assert run("view", out, "--port", "70000").code == 2
+
+
+def test_a_folder_that_another_run_keeps_keeps_nobody_else_waiting(
+    server: tuple[subprocess.Popen[str], str], out: Path
+) -> None:
+    process, address = server
+    with opened_folder(out.parent) as above, ThreadPoolExecutor() as others:
+        fcntl.flock(above, fcntl.LOCK_EX)
+        waiting = others.submit(fetch, address)
+        (out / "newer").touch()  # the folder is to be read again
+        time.sleep(2.5)
+        assert fetch(address + "nothing") == (404, b"")
+        assert not waiting.done()
+        fcntl.flock(above, fcntl.LOCK_UN)
+        assert waiting.result()[0] == 200
+        fcntl.flock(above, fcntl.LOCK_EX)
+        waiting = others.submit(fetch, address)
+        (out / "newer").unlink()
+        time.sleep(1.5)
+        process.send_signal(signal.SIGINT)
+        assert (process.wait(timeout=20), process.communicate()[1]) == (0, "")
+        assert isinstance(waiting.exception(), OSError)
 
 
 @pytest.mark.parametrize("kind", ["link", "zeros", "pipe", "folder"])
