@@ -16,17 +16,19 @@ import stat
 import tempfile
 import zipfile
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import takewhile
 from pathlib import Path, PurePosixPath
 from typing import IO, Literal
 
 from calib.foundations.errors import OutputError
-from calib.foundations.files import DAMAGED, LARGEST_JSON, read_inside, sentences, write_atomically
+from calib.foundations.files import DAMAGED, LARGEST_JSON, read_inside, sentences, stamp, write_atomically
 from calib.foundations.words import shown
 from calib.measurement.formats.images import ENDINGS
+from calib.results.folder import RESULT_FILE
 
 JOB, RESULTS, MADE, PHOTOGRAPHS, ROBOT = "calibration.toml", "results", "tables", "photographs", "robot"
+RESULT = f"{RESULTS}/{RESULT_FILE}"
 # What was dropped and said, for a page that is served again; no dropped file can have a name like this.
 SESSION = ".session.json"
 _MESHES = "meshes"  # as they were dropped
@@ -363,6 +365,13 @@ def is_there(folder: Path, name: str) -> bool:
     return name_here(name) == name and _place(folder, name).is_file()
 
 
+def stamps(folder: Path, dropped: Iterable[str]) -> dict[str, list[int] | None]:
+    """Return what changes when a file does, of those that count, by name: what was dropped or made, job, results."""
+    places = (_place(folder, name).relative_to(folder).as_posix() for name in dropped)
+    found = {name: stamp(folder / name) for name in {*places, *_made_here(folder), JOB, RESULT}}
+    return {name: None if one is None else list(one) for name, one in found.items()}
+
+
 def name_here(name: str) -> str:
     """Return the name of a dropped file; that of a mesh keeps its folders, which tell it from others."""
     if kind_of(name) != "mesh":
@@ -375,20 +384,35 @@ def _place(folder: Path, plain: str) -> Path:
     return folder / plain if inside is None else folder / inside / plain
 
 
-def as_zip(folder: Path) -> IO[bytes]:
+def as_zip(folder: Path, *, results: bool = True, wanted: Callable[[], bool] = lambda: True) -> IO[bytes]:
     """Return an open file with all regular files of the folder, as a ZIP archive, from its beginning.
 
-    Raises OutputError where it cannot be made, as on a full disk.
+    ``results``: whether those in the folder are of what else it holds. Ends soon when the archive is not ``wanted`` any
+    more. Raises OutputError then, and where it cannot be made, as on a full disk.
     """
-    with contextlib.ExitStack() as stack:
-        with sentences("The archive", OutputError, "cannot be made"):
-            archive = stack.enter_context(tempfile.TemporaryFile())
-            with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, strict_timestamps=False) as into:
-                for place in (folder, *(folder / name for name in (MADE, PHOTOGRAPHS, ROBOT, RESULTS))):
-                    inside = place.rglob("*") if place.name == ROBOT else place.iterdir()
-                    for path in sorted(inside) if place.is_dir() else ():
-                        if path.is_file() and not path.is_symlink() and path.name not in (SESSION, _OURS, _SERVED):
-                            into.write(path, Path("calibration") / path.relative_to(folder))
-            archive.seek(0)
+    # Of a full disk a temporary file tells once more when it is closed.
+    with sentences("The archive", OutputError, "cannot be made"), contextlib.ExitStack() as stack:
+        archive = stack.enter_context(tempfile.TemporaryFile())
+        with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED, strict_timestamps=False) as into:
+            for path in _shown_to_others(folder, results=results):
+                entry = zipfile.ZipInfo.from_file(
+                    path, Path("calibration") / path.relative_to(folder), strict_timestamps=False
+                )
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                with path.open("rb") as file, into.open(entry, "w") as there:
+                    while piece := file.read(_PIECE):
+                        if not wanted():
+                            raise OutputError("The archive: is not wanted any more.")
+                        there.write(piece)
+        archive.seek(0)
         stack.pop_all()  # whoever asked closes it
         return archive
+
+
+def _shown_to_others(folder: Path, *, results: bool) -> Iterator[Path]:
+    """Give the regular files that a person takes along."""
+    for place in (folder, *(folder / name for name in (MADE, PHOTOGRAPHS, ROBOT, *([RESULTS] if results else [])))):
+        inside = place.rglob("*") if place.name == ROBOT else place.iterdir()
+        for path in sorted(inside) if place.is_dir() else ():
+            if path.is_file() and not path.is_symlink() and path.name not in (SESSION, _OURS, _SERVED):
+                yield path

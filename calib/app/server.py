@@ -206,6 +206,9 @@ class _Results(_Ours):
         try:
             contents = read_inside(self.session.folder / RESULTS, name, OutputError, _LARGEST_PAGE)
         except OutputError:
+            contents = b""
+        # What has changed since is not what it shows.
+        if not contents or self.session.results is None:
             self.send_error(404)
             return
         self.set_header("Content-Type", "text/html; charset=utf-8")

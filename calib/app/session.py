@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from calib.app.folder import JOB, RESULTS, SESSION, apart, chosen, is_there, kind_of, remove, take, unpacked
+from calib.app.folder import JOB, RESULT, SESSION, apart, chosen, is_there, kind_of, remove, stamps, take, unpacked
 from calib.foundations.errors import JobError, OutputError
 from calib.foundations.files import DAMAGED, LARGEST_JSON, read_inside, write_atomically
 from calib.foundations.words import shown
@@ -48,6 +48,9 @@ class Session:
         self._asked: dict[str, Any] = {"robot": "", "answers": {}, "stack": False, "camera_on": "tip"}
         self._look: dict[str, Any] | None = None
         self._results: dict[str, Any] | None = None
+        # Stamps of the files: as a child began, and those that what was found is of.
+        self._before: dict[str, list[int] | None] = {}
+        self._of: dict[str, list[int] | None] = {}
         self._sentence = self._left_out = ""
         self._busy: dict[str, Any] | None = None
         self._begun = 0.0
@@ -68,11 +71,22 @@ class Session:
             "files": [{"name": name, "kind": kind_of(name), "size": size} for name, size in self._files.items()],
             **self._asked,
             "look": self._look,
-            "results": self._results,
+            "results": self.results,
             "sentence": self._sentence,
             "left_out": self._left_out,
             "busy": busy,
         }
+
+    @property
+    def results(self) -> dict[str, Any] | None:
+        """The verdict of the results in the folder; of others, or where a file is not what it was, there is none."""
+        if self._results is not None and self.seen() != self._of:
+            self._results = None
+        return self._results
+
+    def seen(self) -> dict[str, list[int] | None]:
+        """Return stamps of all files that count."""
+        return stamps(self.folder, self._files)
 
     @property
     def _gone(self) -> str:
@@ -208,6 +222,7 @@ class Session:
             "asked": self._asked,
             "look": self._look,
             "results": self._results,
+            "of": self._of,
         }
         write_atomically(self.folder / SESSION, json.dumps({**kept, "sentence": self._sentence}))
 
@@ -225,10 +240,12 @@ class Session:
             self._sentence = str(kept["sentence"])
         except DAMAGED as e:
             raise OutputError(f"{where}: was not written by this page; choose another folder.") from e
-        # What was found holds for all files that were there.
-        if set(self._files) == set(files) and (self.folder / JOB).is_file():
+        # What was found holds for all files that were there, as they were.
+        of, now = kept.get("of"), self.seen()
+        if isinstance(of, dict) and {**of, RESULT: None} == {**now, RESULT: None} and now[JOB] is not None:
+            self._of = of
             self._look = look if isinstance(look, dict) else None
-            self._results = results if isinstance(results, dict) and (self.folder / RESULTS).is_dir() else None
+            self._results = results if isinstance(results, dict) else None
 
     def _understood(self, said: Mapping[str, Any]) -> dict[str, Any]:
         """Return what the page says, each of its kind. Raises JobError; what it means the look finds out."""
@@ -252,6 +269,7 @@ class Session:
         self._sentence = ""
         self._busy = {"verb": verb, "step": "starting", "done": 0, "of": 1}
         self._begun = time.monotonic()
+        self._before = self.seen()
         self._work = asyncio.create_task(self._run(verb, asked))
 
     async def _run(self, verb: str, asked: Mapping[str, Any]) -> None:
@@ -289,7 +307,9 @@ class Session:
 
     def _take(self, verb: str, told: Mapping[str, Any], why: str) -> None:
         """Keep what a child has found, or the sentence that it told; ``why``: that of one that told none."""
-        found = told.get("found")
+        found, now = told.get("found"), self.seen()
+        # A look writes the job, and tables and the robot of other files.
+        self._of = now if verb == "look" else {**self._before, RESULT: now[RESULT]}
         if found is None:
             self._sentence = told.get("sentence") or why
         elif verb == "calibrate":

@@ -349,6 +349,80 @@ def test_a_dropped_job_is_checked_changed_and_calibrated_as_by_the_command(tmp_p
         server.process.communicate()
 
 
+def in_archive(server: Server) -> list[str]:
+    status, contents = server.ask("GET", "calibration.zip")
+    assert status == 200
+    return zipfile.ZipFile(BytesIO(contents)).namelist()
+
+
+def test_results_are_shown_beside_the_files_that_they_are_of_alone(tmp_path: Path) -> None:
+    place, report = tmp_path / "page", "results/report.html"
+    fewer = b"".join((CASE / TABLE).read_bytes().splitlines(keepends=True)[:40])
+    server = Server("--folder", place)
+    try:
+        drop_case(server)
+        server.look()
+        for change in ("dropped", "results", "table", "job"):
+            assert server.ask("POST", "calibrate")[0] == 200
+            found = server.settled()["results"]
+            assert (found["trusted"], server.ask("GET", report)[0]) == (True, 200)
+            assert f"calibration/{report}" in in_archive(server)
+            match change:
+                case "dropped":
+                    assert server.drop(TABLE, fewer)[0] == 200
+                case "results":  # by somebody else, while the page is served
+                    assert run("calibrate", place / JOB, "-o", place / "results", "-q").code == 0
+                case _:
+                    assert server.end() == (0, "")
+                    server = Server("--folder", place)
+                    assert server.ask("GET", "state")[1]["results"] == found
+                    assert server.end() == (0, "")
+                    name = TABLE if change == "table" else JOB
+                    (place / name).write_bytes((place / name).read_bytes() + b"\n")
+                    server = Server("--folder", place)
+                    assert server.ask("GET", "state")[1]["look"] is None
+            assert server.ask("GET", "state")[1]["results"] is None
+            assert server.ask("GET", report)[0] == 404
+            assert not [name for name in in_archive(server) if "results" in name]
+            assert server.look()["look"]["sound"]
+        assert server.end() == (0, "")
+    finally:
+        server.process.kill()
+        server.process.communicate()
+
+
+def test_files_that_change_while_they_are_packed_are_not_packed_as_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def packed(folder: Path, **_: object) -> BytesIO:
+        (folder / JOB).write_text("another")
+        return BytesIO()
+
+    session = Session(tmp_path)
+    handler = object.__new__(_Folder)
+    handler.session, handler._left = session, threading.Event()
+    monkeypatch.setattr("calib.app.server.as_zip", packed)
+    with pytest.raises(OutputError, match=r"^The files changed while the archive was made; download it again\.$"):
+        asyncio.run(handler._archive())
+
+
+def test_who_leaves_while_the_folder_is_sent_or_packed_is_nothing_to_speak_of() -> None:
+    server = Server()
+    try:
+        assert server.drop("many.npz", os.urandom(20_000_000))[0] == 200
+        port, path = int(server.origin.rpartition(":")[2]), server.page.removeprefix(server.origin)
+        for reads in (True, False):
+            with socket.create_connection(("127.0.0.1", port)) as browser:
+                browser.sendall(f"GET {path}calibration.zip HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+                if reads:
+                    assert browser.recv(1000).startswith(b"HTTP/1.1 200")
+        assert server.ask("GET", "state")[0] == 200
+        assert server.end() == (0, "")
+    finally:
+        server.process.kill()
+        server.process.communicate()
+
+
 def test_work_can_be_cancelled_and_ends_with_the_server() -> None:
     server = Server()
     try:
