@@ -44,6 +44,8 @@ TOO_LARGE = (
     f"is too large; a file may have {LARGEST_FILE // 1_000_000} MB, and all together {_LARGEST_SUM // 1_000_000} MB."
 )
 
+# An archive is made in pieces of so many bytes.
+_PIECE = 1 << 20
 # How deep folders of a robot's description are, and how many files a person may drop with it that are of no use.
 _DEEPEST, _MOST_OFFERED = 12, 5000
 # Of longer paths no file is of use: every folder above one is looked at, and each costs as much as the path is long.

@@ -1,6 +1,7 @@
 """The requests of the page, each behind guards: this computer alone, a secret in the address, no other page."""
 
 import asyncio
+import contextlib
 import json
 import secrets
 import signal
@@ -8,8 +9,9 @@ import threading
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
+from tornado.iostream import StreamClosedError
 from tornado.web import stream_request_body
 
 from calib.app.folder import LARGEST_FILE, RESULTS, TOO_LARGE, as_zip, private_folder
@@ -157,7 +159,9 @@ class _Files(_Ours):
         self._pieces.append(chunk)
 
     async def put(self, name: str) -> None:
-        await self.session.drop(name, b"".join(self._pieces))
+        data = b"".join(self._pieces)
+        self._pieces.clear()  # it is there twice otherwise
+        await self.session.drop(name, data)
         self.finish(self.session.state())
 
     async def delete(self, name: str) -> None:
@@ -217,16 +221,40 @@ class _Results(_Ours):
 
 
 class _Folder(_Ours):
+    """All files as one. Who leaves before it is made, or while it is sent, ends that."""
+
+    def prepare(self) -> None:
+        self._left = threading.Event()
+        super().prepare()
+
+    def on_connection_close(self) -> None:
+        self._left.set()
+
     async def get(self) -> None:
         try:
-            self.session.refuse_gone()
-            archive = await asyncio.to_thread(as_zip, self.session.folder)
+            archive = await self._archive()
         except OutputError as e:
             self.refuse(500, str(e))
             return
         self.set_header("Content-Type", "application/zip")
         self.set_header("Content-Disposition", 'attachment; filename="calibration.zip"')
-        with archive:
+        with archive, contextlib.suppress(StreamClosedError):
             while piece := archive.read(_PIECE):
                 self.write(piece)
                 await self.flush()
+
+    async def _archive(self) -> IO[bytes]:
+        session = self.session
+        session.refuse_gone()
+        before = session.seen()
+        try:
+            # A thread is waited for when the server ends: what it makes is to be wanted until then alone.
+            archive = await asyncio.to_thread(
+                as_zip, session.folder, results=session.results is not None, wanted=lambda: not self._left.is_set()
+            )
+        finally:
+            self._left.set()
+        if session.seen() != before:
+            archive.close()
+            raise OutputError("The files changed while the archive was made; download it again.")
+        return archive

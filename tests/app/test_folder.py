@@ -120,6 +120,18 @@ def test_the_folder_as_one_file_has_no_links(tmp_path: Path) -> None:
         assert archive.read("calibration/measured.csv") == b"m"
 
 
+def test_the_folder_as_one_file_is_not_made_on_a_full_disk_nor_for_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "measured.csv").write_bytes(os.urandom(100_000))
+    with pytest.raises(OutputError, match=r"^The archive: is not wanted any more\.$"):
+        as_zip(tmp_path, wanted=lambda: False)
+    if Path("/dev/full").exists():
+        monkeypatch.setattr(tempfile, "TemporaryFile", lambda: Path("/dev/full").open("r+b"))  # noqa: SIM115
+        with pytest.raises(OutputError, match=r"^The archive: cannot be made \(No space left on device\)\.$"):
+            as_zip(tmp_path)
+
+
 def test_a_folder_that_the_page_has_left_is_taken_up_unless_it_leads_elsewhere(tmp_path: Path) -> None:
     place = tmp_path / "work"
     with private_folder(place):

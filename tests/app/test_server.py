@@ -6,8 +6,10 @@ import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -23,7 +25,9 @@ import pytest
 
 from calib.app.child import _as_texts
 from calib.app.folder import SESSION
+from calib.app.server import _Folder
 from calib.app.session import Session
+from calib.foundations.errors import OutputError
 from tests.support.cases import CASE, JOB, TABLE, URDF, run
 
 # Whoever runs the tests in the background has taught them to ignore signals; a person's terminal has not.
