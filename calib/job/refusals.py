@@ -12,7 +12,7 @@ from calib.identification.initialisation.problem import initial_problem
 from calib.identification.observability import rank_findings
 from calib.identification.sanity import signatures
 from calib.identification.targets import shapes
-from calib.job.schema import Job
+from calib.job.schema import Job, MeasurementsSection
 from calib.job.tables import model_sigmas
 from calib.machine.grid import joint_numbers
 from calib.measurement.checks import Finding
@@ -20,6 +20,9 @@ from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.robot.joint_terms import weighed_at_zero
 from calib.robot.robot import Robot
+
+# Every level is a fit of its rows, and another of base and tool to judge it by.
+_MOST_ROWS_OF_LEVELS, _MOST_TIMES = 100_000, 10
 
 
 def refuse_levels(
@@ -29,7 +32,7 @@ def refuse_levels(
 
     ``chosen`` and ``measured_nodes``: the tables to identify from, and those of nodes.
     """
-    files = [section.file for section in job.measurements if section.use == "identify"]
+    files = [section.file for section in _identified(job)]
     nodes = [section.file for section in job.measurements if section.use == "nodes"]
     for i, level in enumerate(job.levels):
         residual = level.residual_model is not None
@@ -43,6 +46,12 @@ def refuse_levels(
                 known = ", ".join(map(repr, nodes if residual else files)) or "none"
                 kind = "nodes" if residual else "identify"
                 raise JobError(f'{path}: levels[{i}].measurements: {file!r} has not use = "{kind}"; with it: {known}.')
+    rows = {section.file: len(data) for section, data in zip(_identified(job), chosen, strict=True)}
+    asked = sum(rows[file] for level in job.levels if not level.residual_model for file in level.measurements or rows)
+    if asked > (most := max(_MOST_ROWS_OF_LEVELS, _MOST_TIMES * sum(rows.values()))):
+        raise JobError(
+            f"{path}: levels: fit {asked} rows in all; allowed are {most}. Leave out levels, or rows of them."
+        )
     if not nodes and any(level.residual_model and level.residual_model.kind == "grid" for level in job.levels):
         raise JobError(f'{path}: levels: no measurements have use = "nodes", and a residual grid is made of these.')
     if nodes and not any(level.residual_model for level in job.levels):
@@ -54,11 +63,13 @@ def refuse_levels(
     _refuse_residual_model(job, robot, chosen, measured_nodes, path)
 
 
+def _identified(job: Job) -> list[MeasurementsSection]:
+    return [section for section in job.measurements if section.use == "identify"]
+
+
 def refuse_unmatched(job: Job, model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> None:
     """Refuse levels with a name or glob that matches no parameter, before any level is solved."""
-    by_file = dict(
-        zip((section.file for section in job.measurements if section.use == "identify"), chosen, strict=True)
-    )
+    by_file = dict(zip((section.file for section in _identified(job)), chosen, strict=True))
     for i, level in enumerate(job.levels):
         if level.residual_model is None:
             sets = [by_file[file] for file in level.measurements or by_file]

@@ -11,6 +11,7 @@ import pytest
 import calib
 from calib.compensation.controllers.export import judged_readings
 from calib.foundations.errors import JobError, MeasurementError
+from calib.job import refusals
 from calib.job.inputs import load
 from calib.job.residuals import worse
 from calib.job.run import run
@@ -93,6 +94,19 @@ def test_the_result_tells_the_levels(outcome: Calibration, out: Path) -> None:
     assert [level["name"] for level in result["levels"]] == ["base", "joint", "kinematic", "residual"]
     assert result["levels"][-1]["metrics"] == result["metrics"]["validation"]["after"]
     assert json.loads((out / "model.json").read_text())["loops"][0]["name"] == "parallelogram"
+
+
+def test_levels_that_fit_the_rows_over_and_over_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Fifty levels of ten thousand rows, 1 MB, took minutes.
+    monkeypatch.setattr(refusals, "_MOST_ROWS_OF_LEVELS", 0)
+    for file in CASE.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    path = tmp_path / "calibration.toml"
+    assert load(path).job.levels
+    more = "".join(f'[[levels]]\nname = "more {k}"\nfree = ["*"]\n' for k in range(10))
+    path.write_text(path.read_text().replace("[[levels]]", f"{more}[[levels]]", 1))
+    with pytest.raises(JobError, match=r"calibration.toml: levels: fit \d+ rows in all; allowed are \d+\. Leave out"):
+        load(path)
 
 
 @pytest.mark.parametrize(
