@@ -13,18 +13,25 @@ from calib.job.fields import as_toml
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+", re.ASCII)
 
+# So alike are a word and its plural.
+_NEARLY_SAME = 0.85
+
 _HEADERS: dict[type[BaseModel], str] = {
     schema.Job: "",
     schema.AboutSection: "[about]",
     schema.RobotSection: "[robot]",
+    schema.CouplingSection: "[[robot.coupling]]",
+    schema.LoopSection: "[[robot.loop]]",
     schema.ErrorModelSection: "[error_model]",
     schema.PriorSection: "prior of [error_model]",
     schema.PayloadSection: "payload of [robot]",
     schema.FrameSection: "[base] or [tools.NAME]",
+    schema.SolverSection: "[solver]",
     schema.SetupSection: "[setups.NAME]",
     schema.InstrumentSection: "[instruments.NAME]",
     schema.TargetSection: "[targets.NAME]",
     schema.RelationSection: "[[relations]]",
+    schema.LevelSection: "[[levels]]",
     schema.MeasurementsSection: "[[measurements]]",
     schema.BoardSection: "a board.toml",
 }
@@ -67,13 +74,14 @@ def validation_sentence(error: ValidationError, root: type[BaseModel] = schema.J
 
 def _hint(name: str, section: type[BaseModel]) -> str:
     """Return the end of the sentence about an unknown key: where it belongs, or which key is near."""
+    known = _keys(section)
     homes = [header for other, header in _HEADERS.items() if name in _keys(other)]
     if homes:
         places = ["at the top of the file"] if "" in homes else []
         if sections := " or ".join(filter(None, homes)):
             places.append(f"in {sections}")
-        return f"it belongs {' or '.join(places)}."
-    known = _keys(section)
+        likest = near(name, known, 1, _NEARLY_SAME)
+        return f"it belongs {' or '.join(places)}" + (f", or did you mean {likest[0]!r}?" if likest else ".")
     if likest := near(name, known, 1):
         return f"did you mean {likest[0]!r}?"
     for other, header in _HEADERS.items():
