@@ -22,7 +22,7 @@ from calib.robot.joint_terms import weighed_at_zero
 from calib.robot.robot import Robot
 
 # Every level is a fit of its rows, and another of base and tool to judge it by.
-_MOST_ROWS_OF_LEVELS, _MOST_TIMES = 100_000, 10
+_MOST_ROWS_OF_LEVELS, _MOST_TIMES = 50_000, 5
 
 
 def refuse_levels(
