@@ -41,7 +41,10 @@ def refuse_levels(
                 f"{path}: levels[{i}]: needs either free parameters or, if it is the last of several levels, a "
                 "residual_model."
             )
-        for file in level.measurements or ():
+        named = level.measurements or ()
+        for k, file in enumerate(named):
+            if file in named[:k]:
+                raise JobError(f"{path}: levels[{i}].measurements: {file!r} comes twice; its rows would count twice.")
             if file not in (nodes if residual else files):
                 known = ", ".join(map(repr, nodes if residual else files)) or "none"
                 kind = "nodes" if residual else "identify"

@@ -117,6 +117,11 @@ def test_levels_that_fit_the_rows_over_and_over_are_refused(tmp_path: Path, monk
             'measurements = ["level9.csv"]',
             "levels[1].measurements: 'level9.csv' has not",
         ),
+        (
+            'measurements = ["level1.csv"]',
+            'measurements = ["level1.csv", "level2.csv", "level1.csv"]',
+            "levels[1].measurements: 'level1.csv' comes twice; its rows would count twice.",
+        ),
         ('use = "nodes"', 'use = "validate"', "levels[3].measurements: 'nodes.csv' has not"),
         (
             'free = ["*"]',
