@@ -242,6 +242,11 @@ def encoded(text: str) -> bytes:
     return text.encode(errors="backslashreplace")
 
 
+def name_as_text(path: Path) -> str:
+    """Return the name of a file as text, which JSON can hold: bytes of it that are no text as escapes."""
+    return encoded(path.name).decode()
+
+
 def write_new(path: Path, data: bytes | str) -> None:
     """Write a file that is not there yet, as :func:`write_atomically`; raise OutputError when something is."""
     write_together({path: data})

@@ -21,7 +21,7 @@ from typing import Any, NoReturn
 from unicodedata import normalize
 
 from calib.foundations.errors import CalibError, JobError, OutputError
-from calib.foundations.files import LARGEST_JSON, read_bytes, sha256
+from calib.foundations.files import LARGEST_JSON, name_as_text, read_bytes, sha256
 from calib.foundations.folders import reading_folder, real_folder, refuse_unwritable
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.foundations.version import __version__
@@ -144,7 +144,7 @@ def _made_of(job: FleetJob) -> Mapping[str, str] | None:
         same = (
             there.issuperset((*ALWAYS, *TO_BE_SEEN))
             and result.versions == versions()
-            and job.path.name in result.inputs
+            and name_as_text(job.path) in result.inputs
             and all(_hash(job, name) == known for name, known in result.inputs.items())
         )
         return result.inputs if same else None
@@ -154,7 +154,7 @@ def _made_of(job: FleetJob) -> Mapping[str, str] | None:
 
 def _hash(job: FleetJob, name: str) -> str:
     """Return the hash of an input by its name in the result. While the job is the same, it names the same inputs."""
-    path = job.path if name == job.path.name else job.path.parent / name
+    path = job.path if name == name_as_text(job.path) else job.path.parent / name
     return sha256(read_bytes(resolve(name) if name.startswith(EXAMPLE) else path, JobError))
 
 

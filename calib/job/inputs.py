@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from calib.foundations.errors import JobError
-from calib.foundations.files import read_bytes, sha256, stamp
+from calib.foundations.files import name_as_text, read_bytes, sha256, stamp
 from calib.identification.error_model import ErrorModel
 from calib.identification.losses import Loss
 from calib.job import refusals, tables
@@ -117,7 +117,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     refuse_findings(findings)
     refusals.refuse_unmatched(job, model, chosen, path)
     hashes = {
-        **({path.name: sha256(read_bytes(path, JobError))} if written else {}),
+        **({name_as_text(path): sha256(read_bytes(path, JobError))} if written else {}),
         job.robot.urdf: sha256(robot.urdf.source),
         **{name: sha256(read_bytes(folder / name, JobError)) for name in named},
         **{name: sha256(read_bytes(file, JobError)) for arm in arms.values() for name, file in arm.files.items()},

@@ -673,6 +673,15 @@ def test_page_has_every_figure_once_and_leads_to_the_reports() -> None:
     assert "[a \\<b\\>](a%20%3Cb%3E/report.html)" in render_markdown(fleet_report(LINES))
 
 
+@pytest.mark.skipif(sys.platform == "darwin", reason="its file system takes no such names")
+def test_a_job_whose_name_is_no_text_is_calibrated_as_others(folder: Path) -> None:
+    (folder / "jobs/plain.toml").rename(folder / "jobs/\udcff.toml")
+    for earlier in (False, True):
+        finished = run_fleet(fleet_jobs([Path("jobs/\udcff.toml")], Path("all")), workers=1)
+        assert finished[0].earlier == earlier
+        assert fleet_lines(finished)[0].word == "trusted"
+
+
 def test_a_name_that_is_no_text_leads_to_its_report() -> None:
     name = "caf\udce9"  # as Latin-1 has it
     line = JobLine(name, f"{name}.toml", "trusted", (), "validation", POSE, 30, 36, 0, f"{name}/report.html")
