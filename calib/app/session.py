@@ -314,6 +314,8 @@ class Session:
             self._sentence = told.get("sentence") or why
         elif verb == "calibrate":
             self._results = found
+            if self.results is None:
+                self._sentence = "Files changed while this worked, and the results are not of those that are there now."
         elif verb == "look":
             self._look = found
         else:

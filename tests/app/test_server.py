@@ -395,6 +395,20 @@ def test_results_are_shown_beside_the_files_that_they_are_of_alone(tmp_path: Pat
         server.process.communicate()
 
 
+def test_files_that_change_while_they_are_calibrated_are_said(tmp_path: Path) -> None:
+    async def changed() -> dict[str, Any]:
+        session = Session(tmp_path)
+        (tmp_path / JOB).write_text("one")
+        session._before = session.seen()
+        (tmp_path / JOB).write_text("another")
+        session._take("calibrate", {"found": {"trusted": True}}, "")
+        return session.state()
+
+    state = asyncio.run(changed())
+    said = "Files changed while this worked, and the results are not of those that are there now."
+    assert (state["results"], state["sentence"]) == (None, said)
+
+
 def test_files_that_change_while_they_are_packed_are_not_packed_as_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
