@@ -91,7 +91,15 @@ def write_folder(path: Path, files: Mapping[str, bytes | str], older: Collection
                     _clean(place)
             refuse_taken(path)
         with _made(path.parent), opened_folder(path.parent) as above:
+            if older:
+                _refuse_led_away(path, above)
             _write(_Place(path, above), files, older)
+
+
+def _refuse_led_away(path: Path, above: int) -> None:
+    """Raise OutputError where a folder above has become a link: what may be replaced was looked at in another one."""
+    if path.parent.resolve() != path.parent or not os.path.samestat(path.parent.stat(), os.fstat(above)):
+        raise OutputError(f"{path}: a folder above it is a link now, or has been moved; run it again.")
 
 
 @contextlib.contextmanager

@@ -246,6 +246,23 @@ def test_a_folder_that_leads_elsewhere_after_the_work_is_left_alone(
     assert tree(tmp_path / "precious") == before
 
 
+def test_a_folder_above_that_becomes_a_link_at_last_leads_nowhere(outcome: Calibration, tmp_path: Path) -> None:
+    """Whatever was looked at before: what the link leads to was not."""
+    write_results(outcome, tmp_path / "precious/out")
+    (tmp_path / "precious/out/report.md").write_text("old")
+    before = tree(tmp_path / "precious")
+    (tmp_path / "place").mkdir()
+
+    def put_link(said: str) -> None:
+        if said == "writing the results":
+            (tmp_path / "place").rename(tmp_path / "moved")
+            (tmp_path / "place").symlink_to("precious")
+
+    with pytest.raises(OutputError, match=r"place/out: a folder above it is a link now, or has been moved; run it"):
+        write_results(outcome, tmp_path / "place/out", put_link)
+    assert tree(tmp_path / "precious") == before
+
+
 def test_folders_on_the_way_are_made(outcome: Calibration, tmp_path: Path) -> None:
     write_results(outcome, tmp_path / "a/b/out")
     assert sorted(path.name for path in (tmp_path / "a/b/out").iterdir()) == FILES
