@@ -196,26 +196,34 @@ def _unidentifiable(u: Uncertainty, count: int) -> BoolArray:
 
 
 def _along_null_spaces(old: CalibratedMachine, new: CalibratedMachine, count: int) -> Array:
-    """Return by how much (count, 2) the robots differ along either null space, as they and the common tools tell.
+    """Return by how much (count, k) the robots may differ along the null spaces though nothing has moved.
 
-    Bases may have moved, and tell nothing.
+    As far as the common tools do: values of what is not seen are those that somebody has stated, or chance. And as far
+    as these tools may have changed unseen, if they were mounted anew: by what is seen of that. Bases may have moved,
+    and tell nothing.
     """
     common = [name for name in old.tools if name in new.tools]
-    changes = [new.tools[name][:3, 3] - old.tools[name][:3, 3] for name in common]
+    changes = np.array([new.tools[name][:3, 3] - old.tools[name][:3, 3] for name in common])
     turns = [rigid.log3(old.tools[name][:3, :3].T @ new.tools[name][:3, :3]) for name in common]
-    d = np.concatenate([_state(new.deviations) - _state(old.deviations), np.column_stack([changes, turns]).ravel()])
+    # A robot shows what of it is in a direction; of what is not, the tools tell.
+    weight = np.append(np.full(count, 1.0 / _SAME_DIRECTION), np.ones(6 * len(common)))
+    d = np.zeros((len(weight), 1 + 3 * len(common)))
+    d[:, 0] = np.append(_state(new.deviations) - _state(old.deviations), np.column_stack([changes, turns]))
+    for t, size in enumerate(np.linalg.norm(changes, axis=1)):
+        d[count + 6 * t :, 1 + 3 * t :][:3, :3] = size * np.eye(3)
     found = []
     for machine in (old, new):
         tools = [machine.layout.tools + 6 * list(machine.tools).index(name) + np.arange(6) for name in common]
         basis = machine.known_uncertainty.null_basis[np.concatenate([np.arange(count), *tools])]
-        found.append(basis[:count] @ np.linalg.lstsq(basis, d, rcond=_ROUNDING)[0])
-    return np.column_stack(found)
+        along = np.linalg.lstsq(weight[:, None] * basis, weight[:, None] * d, rcond=_ROUNDING)[0]
+        found.append(basis[:count] @ along)
+    return np.hstack(found)
 
 
 def _together(old: Uncertainty, new: Uncertainty, d: Array, apart: Array, free: BoolArray) -> tuple[float, int]:
     """Return the statistic of the difference in the combinations that both have determined, and their number.
 
-    ``apart`` (n, 2): by how much the two differ along their null spaces, which is no difference.
+    ``apart`` (n, k): by how much the two may differ along their null spaces, which is no difference.
     One parameter may move several entries, as DH parameters do: no more combinations vary than there are parameters.
     """
     count = len(free)

@@ -309,6 +309,9 @@ def test_heights_of_a_tool_that_is_not_seen_are_no_difference(seed: int) -> None
 
     before = found(true, 0.05)
     assert not compare(before, found(true, 0.2)).moved  # all of them have with the noise alone
+    # Nor what the tool may have changed unseen where it was mounted anew: with what is seen alone all have moved.
+    anew = replace(true, tools={"tool": pose((0.06, -0.02, 0.1))})
+    assert not compare(before, found(anew, 0.05)).moved
     assert compare(before, found(with_zero(true, "elbow", 1e-3), 0.05)).moved
 
 

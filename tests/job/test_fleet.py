@@ -177,7 +177,10 @@ REFUSED = [
     (("jobs/plain.toml", "jobs/plain.toml"), "jobs/plain.toml: is named twice; name every job once."),
     (("jobs/plain.toml", "other/plain.toml"), "jobs/plain.toml and other/plain.toml: both would be written to fleet/"),
     (("a/x.toml", "b/X.toml"), "a/x.toml and b/X.toml: both would be written to fleet/X; rename one of them."),
-    (("a/\u00e9.toml", "b/e\u0301.toml"), "a/\u00e9.toml and b/e\\u0301.toml: both would be written to fleet/e\\u0301; "),
+    (
+        ("a/\u00e9.toml", "b/e\u0301.toml"),
+        "a/\u00e9.toml and b/e\\u0301.toml: both would be written to fleet/e\\u0301; ",
+    ),
     (("jobs/.toml",), "jobs/.toml: '.toml' is no name for a folder of results; rename it."),
     (("summary.csv.toml",), "summary.csv.toml: its results would be written to fleet/summary.csv, where a summary "),
 ]
