@@ -450,21 +450,22 @@ def unharmed(figures: Sequence[HeldOut]) -> tuple[int, ...]:
     """Return which of models of growing size are nowhere worse than the first, by which they are judged.
 
     A model with a larger rms or 95 % quantile is not among them, nor one whose largest error is larger by half of that
-    quantile: a row that lies off has on top what a model changes.
+    quantile: a row that lies off has on top what a model changes. The first is always among them: it may foretell
+    nothing, with errors without end, and then no other is judged.
     """
     first = figures[0]
     limit = first.largest + _LARGEST * first.p95
     return tuple(
         k
         for k, figure in enumerate(figures)
-        if figure.p95 <= first.p95 and figure.largest <= limit and figure.rms <= first.rms
+        if k == 0 or (figure.p95 <= first.p95 and figure.largest <= limit and figure.rms <= first.rms)
     )
 
 
 def smallest_unharmed(figures: Sequence[HeldOut]) -> int:
     """Return which of models of growing size, that harm nowhere, the one-standard-error rule takes."""
     sound = unharmed(figures)
-    return sound[one_standard_error([figures[k] for k in sound])]
+    return 0 if sound == (0,) else sound[one_standard_error([figures[k] for k in sound])]
 
 
 def largest_unharmed(figures: Sequence[HeldOut], *, apart: bool) -> int:
@@ -475,6 +476,8 @@ def largest_unharmed(figures: Sequence[HeldOut], *, apart: bool) -> int:
     by a tenth: what holds in a few places may still be wrong in others.
     """
     sound = unharmed(figures)
+    if sound == (0,):
+        return 0
     least = min((figures[k] for k in sound), key=lambda figure: figure.rms)
     if figures[0].rms <= least.rms + _SURELY * least.standard_error or (apart and least.rms > _BY * figures[0].rms):
         return 0

@@ -115,6 +115,13 @@ def test_the_rule_takes_the_smallest_within_one_standard_error() -> None:
     assert one_standard_error([HeldOut(value, 0.5) for value in rms]) == 0
 
 
+def test_where_geometry_alone_foretells_nothing_no_terms_are_chosen() -> None:
+    nothing = HeldOut(np.inf, np.nan, np.nan, np.nan)
+    for figures in ([nothing], [nothing, nothing], [nothing, HeldOut(0.5, 0.05, 1.0, 3.9)]):
+        assert smallest_unharmed(figures) == 0
+        assert largest_unharmed(figures, apart=False) == 0
+
+
 def test_a_model_that_harms_somewhere_is_not_taken() -> None:
     first = HeldOut(1.0, 0.05, 2.0, 3.0)
     assert smallest_unharmed([first, HeldOut(0.5, 0.05, 2.1, 3.0)]) == 0
