@@ -16,6 +16,7 @@ from calib.assessment.all_harmonics import Known
 from calib.assessment.entering import Blocks, Products, filled
 from calib.assessment.validation import HeldOut, held_out
 from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.errors import IdentificationError
 from calib.identification.error_model import with_terms
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NUMERICAL_TOLERANCE
@@ -25,6 +26,7 @@ from calib.identification.machine import values_at
 from calib.identification.parameters import directions, scales
 from calib.identification.system import without_rows
 from calib.identification.weights import sigmas_of
+from calib.identification.widths import TOO_UNLIKE
 from calib.machine.tool_motion import tool_jacobian
 from calib.measurement.kinds import QUANTITIES
 from calib.robot.conditions import ordinary
@@ -227,7 +229,7 @@ class LinearisedSystem:
         """Return the way that rows with these products go ``among`` candidates, best first, ``without`` a fold.
 
         At most so many ``steps``, and as ``most`` so many coefficients; ``lasting`` as long as the best
-        lowers the sum of squares by more than chance would.
+        lowers the sum of squares by more than chance would. Raises IdentificationError where equations are singular.
         """
         p, first = len(self._known) - 1, len(self._geometry)
         # Rows of what entered, as they were then, and solved for their own unknowns; no others are ever needed.
@@ -238,7 +240,10 @@ class LinearisedSystem:
             start = ends[-1]
             own = slice(start, start + len(new))
             rows[own] = products.rows(new, without) + self._known[new] - rows[:start, new].T @ solved[:start]
-            solved[own] = np.linalg.solve(rows[own, new], rows[own])
+            try:
+                solved[own] = np.linalg.solve(rows[own, new], rows[own])
+            except np.linalg.LinAlgError as e:
+                raise IdentificationError(TOO_UNLIKE) from e
             blocks.eliminate(rows[own], solved[own])
             entered.extend(new)
             ends.append(own.stop)

@@ -24,6 +24,7 @@ import numpy as np
 import scipy
 
 from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.errors import IdentificationError
 
 # From a thousandth to a hundred parameter scales: a coefficient with the narrowest does not show, the widest is no
 # prior.
@@ -35,6 +36,11 @@ _MOST_TURNS = 20
 _SETTLED = 1e-4
 # A tenth of the rows moves widths by little.
 _FEW_TURNS = 3
+# Of equations that are singular by rounding: products of sigmas in them span more than a double's digits.
+TOO_UNLIKE = (
+    "the sigmas of rows, priors and relations differ by too much to be weighed together where terms are chosen or "
+    "widths of priors learned: state none that is far smaller than others."
+)
 # Where a search ends: SciPy's own.
 _ENOUGH = 1e7 * float(np.finfo(float).eps)
 
@@ -82,14 +88,20 @@ class Widths(NamedTuple):
 
 
 def likelihood(rows: NormalEquations, widths: Array, factors: Array) -> Likelihood:
-    """Return the marginal likelihood for widths (g,) of the groups and factors (c,) of the components' sigmas."""
+    """Return the marginal likelihood for widths (g,) of the groups and factors (c,) of the components' sigmas.
+
+    Raises IdentificationError where the equations are singular.
+    """
     p = len(rows.group)
     own = rows.group >= 0
     hold = np.append(widths**-2.0, 0.0)[rows.group]
     gram = rows.known + np.tensordot(factors**-2.0, rows.grams, 1)
     H, b = gram[:p, :p].copy(), gram[:p, p]
     H[range(p), range(p)] += hold
-    lower = scipy.linalg.cholesky(H, lower=True)
+    try:
+        lower = scipy.linalg.cholesky(H, lower=True)
+    except np.linalg.LinAlgError as e:
+        raise IdentificationError(TOO_UNLIKE) from e
     # The lower triangle of the covariance, by rows of its transpose; more of it is not needed, and takes longer.
     C = scipy.linalg.lapack.dpotri(lower, lower=1)[0].T
     diagonal = np.diag(C)

@@ -11,11 +11,12 @@ from calib.assessment import choice as choice_module
 from calib.assessment.choice import candidates, choose_terms
 from calib.assessment.linearised import Candidate, LinearisedSystem
 from calib.assessment.validation import cross_validate
+from calib.foundations.errors import IdentificationError
 from calib.identification.error_model import with_terms
 from calib.presentation.sheets import choice_sheet
 from calib.robot.terms.harmonic import OFFERED, harmonic
 from calib.robot.urdf import parse_urdf
-from tests.support import machines
+from tests.support import machines, touching
 from tests.support.gears import UR10, geared
 from tests.support.loops import four_bar_urdf
 
@@ -362,3 +363,11 @@ def test_between_places_the_loops_of_the_identified_machine_close_too() -> None:
     assert np.isfinite(found).all()
     np.testing.assert_allclose(found, system.scatter(flat[1:], whole, without))
     assert np.isinf(system.scatter(flat[:1], whole, without)).all()
+
+
+def test_sigmas_that_cannot_be_weighed_together_are_said() -> None:
+    lab = touching.lab(3, noise=1e-5)
+    far = replace(touching.between("distance", "a", "b"), value=1e4, sigma=1e-9)
+    model = machines.model(lab.robot, offsets="all", placements="all", relations=[far])
+    with pytest.raises(IdentificationError, match="differ by too much to be weighed together"):
+        choose_terms(model, [lab.positions(40), lab.sockets(12)])
