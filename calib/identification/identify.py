@@ -196,8 +196,7 @@ def _identify(
         problem = replace(problem, together=together)
         problem, found, learned = solve_learning(problem, found.x, _given(problem, variances))
     parameters = problem.parameters
-    # Told at the start point: at the solution second-order shares would blur what cannot be told apart.
-    kept, directions = identifiability.told(found.start, _common_rank(found), parameters)
+    kept, directions = _told(found, parameters)
     if null_space == "refuse" and directions:
         many = counted(len(directions), "combination")
         raise IdentificationError(f"the data do not determine {many} of parameters; the first: {directions[0]}")
@@ -527,10 +526,18 @@ def _places_of(fit: Fit, frames: Frames, names: Measurements) -> Frames:
     return replace(_frames_of(fit.nominal.frames, fit, frames, names), scalars=frames.scalars)
 
 
-def _common_rank(found: Solution) -> int:
-    """Return how many combinations of common parameters are determined, at the solution and at its start."""
+def _told(
+    found: Solution, parameters: Sequence[Parameter]
+) -> tuple[tuple[int, ...], tuple[NullDirection, ...]]:
+    """Return a minimal set of parameters, and the directions of the null space.
+
+    Told at the start point, as at the solution second-order shares would blur what cannot be told apart; but at the
+    solution where more is determined there, by products of parameters that are zero at the start.
+    """
+    rank = found.directions.common_rank(identifiability.NUMERICAL_TOLERANCE)
     start = identifiability.directions_of(found.start.reduced(identifiability.RANK_TOLERANCE))
-    return min(found.directions.common_rank(identifiability.NUMERICAL_TOLERANCE), start.common_rank(0.0))
+    rows = found.start if start.common_rank(0.0) >= rank else found.spectrum.rows
+    return identifiability.told(rows, rank, parameters)
 
 
 def _noise(problem: Problem, found: Solution, after: Sequence[Array]) -> tuple[Noise, ...]:
