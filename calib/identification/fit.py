@@ -28,6 +28,8 @@ from calib.robot.robot import Deviations, Robot
 
 # Of more parameters a matrix tells nobody anything.
 _MOST_CORRELATED = 500
+# Singular values below this share of the largest are rounding.
+_SINGULAR = 1e-14
 
 NullSpacePolicy = Literal["nearest", "minimal", "refuse"]
 
@@ -185,11 +187,16 @@ class Fit:
     def errors_of(self, names: Sequence[str]) -> Errors:
         """Return the errors of parameters that are free here or held from earlier; zeros of those that are neither."""
         number = {parameter.name: k for k, parameter in enumerate(self.parameters)}
-        own = [number[name] for name in names if name in number]
-        U, s, _ = svd(self.spread.of(own))
-        noise = np.zeros((len(self.parameters), len(own)))
-        noise[own] = U * np.sqrt(s)
-        null_basis = scales(self.parameters)[:, None] * self.null_basis
+        units, noise = scales(self.parameters), np.zeros((len(self.parameters), 0))
+        if own := [k for k, parameter in enumerate(self.parameters) if not parameter.nuisance]:
+            U, s, _ = svd(self.spread.of(own))
+            moved, N = U * np.sqrt(s) / units[own, None], self.null_basis[own]
+            # The covariance is that of a free network. Values are where weak priors hold them along the null space.
+            hold = np.array([self.parameters[k].hold for k in own])[:, None]
+            moved = moved - N @ np.linalg.lstsq(hold * N, hold * moved, rcond=_SINGULAR)[0]
+            noise = np.zeros((len(self.parameters), len(own)))
+            noise[own] = units[own, None] * moved
+        null_basis = units[:, None] * self.null_basis
         found = Errors(noise, self.along_null_space.factor, null_basis).of([number.get(name, -1) for name in names])
         return found if self.earlier is None else found.beside(self.earlier.of(names))
 

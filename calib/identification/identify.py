@@ -526,9 +526,7 @@ def _places_of(fit: Fit, frames: Frames, names: Measurements) -> Frames:
     return replace(_frames_of(fit.nominal.frames, fit, frames, names), scalars=frames.scalars)
 
 
-def _told(
-    found: Solution, parameters: Sequence[Parameter]
-) -> tuple[tuple[int, ...], tuple[NullDirection, ...]]:
+def _told(found: Solution, parameters: Sequence[Parameter]) -> tuple[tuple[int, ...], tuple[NullDirection, ...]]:
     """Return a minimal set of parameters, and the directions of the null space.
 
     Told at the start point, as at the solution second-order shares would blur what cannot be told apart; but at the

@@ -13,6 +13,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.chance import exceeded
 from calib.foundations.errors import JobError
+from calib.foundations.linear import svd
 from calib.identification.earlier import Earlier, Errors
 from calib.identification.fit import Fit
 from calib.identification.losses import scatter_weight
@@ -33,6 +34,8 @@ from calib.robot.sampling import least_determinant
 _ROUNDING = 1e-12
 # Rows of some pair scatter more than others where chance makes any do so less often than this.
 _CHANCE = 0.01
+# Directions of the null spaces of a fit and of one before it that differ by less, in parameter scales, are the same.
+_SAME_DIRECTION = 0.05
 
 
 @checked
@@ -79,18 +82,15 @@ def _uncertainty(fit: Fit) -> Uncertainty:
     errors = errors_by_cause(fit, identified)
     state = _to_state(fit, errors.parameters, errors.at) * scales(errors.parameters)
     parts = [state @ part for part in (errors.instrument, errors.unseen, errors.scatter, errors.of_readings)]
-    own, noises = _of_machine(fit), _parts(fit, errors)
-    parameters = [fit.parameters[k] for k in own]
-    null_basis = _to_state(fit, parameters, fit.machine) @ (fit.null_basis[own] * scales(parameters)[:, None])
+    noises = _parts(fit, errors)
     if fit.earlier is not None:  # what has measured there is told no more: its noise counts as the instrument's
         earlier = _of_earlier(fit, fit.earlier)
         parts[0], parts[1] = np.hstack([parts[0], earlier.noise]), np.hstack([parts[1], earlier.along])
-        null_basis = np.hstack([null_basis, earlier.null_basis])
     return Uncertainty(
         read_only(np.hstack(parts)),
         (parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + parts[3].shape[1]),
         errors.left_out,
-        read_only(null_basis),
+        read_only(_null_basis(fit)),
         _level(noises, "m"),
         _level(noises, "rad"),
         read_only(identified),
@@ -98,6 +98,24 @@ def _uncertainty(fit: Fit) -> Uncertainty:
         _own_noise(fit, noises),
         condition_ranges(fit.robot, (end for data in fit.measurements for end in data.loaded(fit.robot).ends)),
     )
+
+
+def _null_basis(fit: Fit) -> Array:
+    """Return changes (n, k) of the machine's state in the null space of a fit and of those before it.
+
+    Directions are orthonormal in the scales of parameters.
+    """
+    basis, parameters = fit.null_basis, fit.parameters
+    if fit.earlier is not None:
+        parameters = fit.earlier.parameters
+        basis = np.vstack([basis, np.zeros((len(parameters) - len(basis), basis.shape[1]))])
+        # What is free may follow one direction by many scales, and another one hardly at all.
+        both = np.hstack([basis, fit.earlier.errors.null_basis / scales(parameters)[:, None]])
+        U, s, _ = svd(both, full_matrices=False)
+        basis = U[:, s > _SAME_DIRECTION]
+    own = [k for k, parameter in enumerate(parameters) if not parameter.nuisance]
+    named = [parameters[k] for k in own]
+    return _to_state(fit, named, fit.machine) @ (basis[own] * scales(named)[:, None])
 
 
 def _closure_determinant(fit: Fit) -> float | None:

@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 import calib
+from scripts.development.judge_machines import predict
+from scripts.studies import sigmas
 from tests.support import machines
 from tests.support.machines import INLINE, anywhere, pose
 
@@ -124,3 +126,36 @@ def test_three_levels_hand_on_what_the_first_did_not_know() -> None:
         *(np.sum(np.hstack(one.of(placed)[:2]) ** 2, axis=1) for one in (third.earlier, second.earlier)), rtol=1e-9
     )
     assert session.inside(third)[0] > 0.9
+
+
+def _levels_of_a_palletiser(seed: int, sessions: int, then: Sequence[str]) -> list[calib.CalibratedMachine]:
+    """Two levels each, of one machine in the same poses."""
+    of = sigmas.measured("palletiser with two parallelograms", "offsets and placements", seed)
+    rng = np.random.default_rng(seed)
+    exact = predict(of.arm, of.true, of.data.readings, np.zeros(len(of.data), dtype=np.intp))[0, :, :3, 3]
+
+    def again() -> calib.Measurements:
+        return replace(of.data, position=exact + rng.normal(scale=of.data.sigma[0, 0], size=exact.shape))
+
+    found = []
+    for _ in range(sessions):
+        first = calib.identify(of.model, again())
+        found.append(calib.machine_of(calib.identify(of.model, again(), free=then, start=first)))
+    return found
+
+
+def test_compare_finds_nothing_moved_where_levels_have_found_one_arm_twice() -> None:
+    """What was handed on was the noise of a free network, in which the tool's height that is not seen goes anywhere."""
+    moved = [calib.judging.compare(*_levels_of_a_palletiser(seed, 2, ["base.*"])) for seed in range(8)]
+    assert sum(one.moved for one in moved) <= 1
+    for one in moved:
+        assert one.statistic is not None
+        assert one.statistic < 2.5 * one.degrees_of_freedom
+
+
+def test_directions_of_the_null_spaces_of_levels_are_as_long_as_those_of_one() -> None:
+    """What is free followed some by tens of scales, beside which compare took others for none."""
+    for machine in _levels_of_a_palletiser(1, 2, ["base.*", "tool.*", "*.offset"]):
+        assert machine.uncertainty is not None
+        lengths = np.linalg.norm(machine.uncertainty.null_basis, axis=0) / 1e-3
+        np.testing.assert_allclose(lengths, 1.0, rtol=0.01)
