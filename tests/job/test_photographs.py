@@ -121,7 +121,7 @@ def test_photographs_of_no_use_are_named_and_left_out(folder: Path) -> None:
     assert re.fullmatch(r"is blurred over .* px, and 4 are allowed|no board is found|only .*", why["image_001.png"])
     assert why["image_002.png"] == "no board is found"
     assert why["image_003.png"] == "has 1280 x 720 pixels, and most have 640 x 360"
-    assert why["image_004.png"] == "is not an image that OpenCV reads"
+    assert why["image_004.png"] == "is not an image that is read: PNG, JPEG, BMP, TIFF, PGM or WebP"
     assert why["other.png"] == "has no row in the readings"
     assert any("there is no photograph 'image_005.png'" in remark for remark in told["remarks"])
 

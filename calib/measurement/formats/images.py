@@ -4,8 +4,6 @@ OpenCV (Apache-2.0, extra ``calib[vision]``) tells which corner is which; where 
 """
 
 import contextlib
-import os
-import struct
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +18,7 @@ from calib.foundations.linear import svd
 from calib.foundations.native import heard
 from calib.foundations.words import shown
 from calib.measurement.formats.corners import LEAST_RADIUS, refine
+from calib.measurement.formats.image_bytes import many_passes, pixels_of, unpadded, unturned
 from calib.measurement.prints import Print
 
 # What cameras write, by the ends of names.
@@ -28,15 +27,6 @@ LARGEST_IMAGE, MOST_PIXELS, SMALLEST_SIDE = 200_000_000, 160_000_000, 16
 # A photograph has some ten pixels for a byte of its file at most; more than thirty, of many, are of a file made to
 # swell.
 _FEW_PIXELS, _PIXELS_OF_A_BYTE = 20_000_000, 30
-# OpenCV looks at this when it is loaded, and then before it unpacks an image.
-_BOUND = "OPENCV_IO_MAX_IMAGE_PIXELS"
-# TIFF and BigTIFF by their first bytes: byte order, type of an offset and of the number of entries, bytes of an entry.
-_TIFF = {b"II*\0": ("<", "I", "H", 12), b"MM\0*": (">", "I", "H", 12)}
-_TIFF |= {b"II+\0": ("<", "Q", "Q", 20), b"MM\0+": (">", "Q", "Q", 20)}
-# The first bytes of a JPEG, and of its image; bytes that may stand between its segments: no segment is as short.
-_JPEG, _SCAN, _MOST_PADS, _MOST_SEGMENTS = b"\xff\xd8", b"\xff\xda", 3, 1000
-# Number of this entry, and that of its type.
-_ORIENTATION = (274, 3)
 # What libjpeg says of data that it had to guess: what follows in the image may stand elsewhere.
 _DAMAGED = "Corrupt JPEG data: "
 # Pixels looked at around a corner, as a share of the way to what is printed next to it.
@@ -71,7 +61,6 @@ class Detection(NamedTuple):
 
 def opencv() -> Any:
     """Return OpenCV. Raises JobError where it is not installed, or older than its detector of ChArUco boards."""
-    os.environ.setdefault(_BOUND, str(MOST_PIXELS))
     try:
         cv2 = import_module("cv2")
     except ImportError as e:
@@ -119,29 +108,37 @@ def read_image(file: Path) -> Array:
     Raises MeasurementError for what is no image, and for a damaged one.
     """
     data = read_bytes(file, MeasurementError, LARGEST_IMAGE)
+    _look_before(data, file)
     cv2 = opencv()
     way = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION | cv2.IMREAD_ANYDEPTH
     try:
         with heard() as said:
-            image = cv2.imdecode(np.frombuffer(_unpadded(_unturned(data)), np.uint8), way) if data else None
+            image = cv2.imdecode(np.frombuffer(unpadded(unturned(data)), np.uint8), way)
     except cv2.error as e:
-        if "_MAX_IMAGE_" in e.err:
-            most = MOST_PIXELS // 1_000_000
-            raise MeasurementError(f"{file}: has too many pixels; {most} million are allowed.") from e
         raise MeasurementError(f"{file}: OpenCV cannot read this image ({e.err}).") from e
     if image is None:
         raise MeasurementError(f"{file}: is not an image that OpenCV reads.")
     if damage := next((line.removeprefix(_DAMAGED) for line in said if line.startswith(_DAMAGED)), None):
         raise MeasurementError(f"{file}: is damaged ({shown(damage)}); copy it from the camera again.")
-    height, width = image.shape
+    return _of_8_bits(image, file)
+
+
+def _look_before(data: bytes, file: Path) -> None:
+    """Raise MeasurementError for what is no image of the kinds that are read, and for one that would take too much."""
+    if (size := pixels_of(data)) is None:
+        raise MeasurementError(f"{file}: is not an image that is read: PNG, JPEG, BMP, TIFF, PGM or WebP.")
+    width, height = size
+    if width * height > MOST_PIXELS:
+        raise MeasurementError(f"{file}: has too many pixels; {MOST_PIXELS // 1_000_000} million are allowed.")
     if min(height, width) < SMALLEST_SIDE:
         raise MeasurementError(f"{file}: has {width} x {height} pixels; the smallest side allowed is {SMALLEST_SIDE}.")
-    if image.size > max(_FEW_PIXELS, _PIXELS_OF_A_BYTE * len(data)):
+    if width * height > max(_FEW_PIXELS, _PIXELS_OF_A_BYTE * len(data)):
         raise MeasurementError(
             f"{file}: has {width} x {height} pixels in {len(data)} bytes, as no photograph has; of more than "
             f"{_FEW_PIXELS // 1_000_000} million, {_PIXELS_OF_A_BYTE} for a byte are allowed."
         )
-    return _of_8_bits(image, file)
+    if many_passes(data):
+        raise MeasurementError(f"{file}: goes over its pixels more often than a photograph does; write it anew.")
 
 
 def _of_8_bits(image: Any, file: Path) -> Array:
@@ -152,42 +149,6 @@ def _of_8_bits(image: Any, file: Path) -> Array:
     elif image.dtype != np.uint8:
         raise MeasurementError(f"{file}: has pixels of the kind {image.dtype}; whole numbers of 8 or 16 bits are read.")
     return np.asarray(image)
-
-
-def _unpadded(data: bytes) -> bytes:
-    """Return a JPEG without the bytes that some cameras put between its segments, before the image; others as they are.
-
-    OpenCV reads such an image soundly, says of it what it says of a damaged one, and of other damage then nothing.
-    """
-    kept = [_JPEG]
-    at = len(_JPEG) if data.startswith(_JPEG) else len(data)
-    for _ in range(_MOST_SEGMENTS):
-        begins = data.find(0xFF, at, at + _MOST_PADS + 1)
-        length = int.from_bytes(data[begins + 2 : begins + 4], "big")
-        if begins < 0 or length < 2 or data[begins + 1] in (0, 0xFF):
-            return data
-        at = begins + 2 + length
-        kept.append(data[begins:at])
-        if kept[-1].startswith(_SCAN):
-            return b"".join([*kept, data[at:]])
-    return data
-
-
-def _unturned(data: bytes) -> bytes:
-    """Return a TIFF whose first image asks for no turn, which OpenCV obeys whatever it is told; others as they are."""
-    if data[:4] not in _TIFF:
-        return data
-    order, at, of_count, entry = _TIFF[data[:4]]
-    with contextlib.suppress(struct.error, OverflowError):  # damaged: the reader of images says so
-        (first,) = struct.unpack_from(order + at, data, struct.calcsize(at))
-        (entries,) = struct.unpack_from(order + of_count, data, first)
-        start = first + struct.calcsize(of_count)
-        for place in range(start, start + entry * entries, entry):
-            tag, kind = struct.unpack_from(order + "HH", data, place)
-            if (tag, kind) == _ORIENTATION:
-                value = place + 4 + struct.calcsize(at)
-                return data[:value] + struct.pack(order + "H", 1) + data[value + 2 :]
-    return data
 
 
 def thumbnail(grey: Array) -> bytes:
