@@ -98,7 +98,9 @@ def test_a_truth_that_the_model_can_express_is_found(planar: bool) -> None:
     fit = calib.identify(model, data)
     frames = fit.machine.frames
     tips = frames.base @ robot.tips(np.radians(unseen), fit.machine.deviations) @ frames.tools[0]
-    assert len(fit.parameters) - len(fit.null_space) == 31
+    assert len(fit.parameters) - len(fit.null_space) == fit.numerical_rank
+    # Of the nominal robot; exact data tell two more, by products of small parameters.
+    assert 31 <= fit.numerical_rank <= 33
     assert np.abs(tips[:, :3, 3] * 1e3 - true.tcp(unseen)).max() < (1e-6 if planar else 1e-5)
 
 
