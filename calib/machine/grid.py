@@ -32,6 +32,8 @@ _OFF_GRID = 1e-3
 # Readings are inside up to rounding, and so is a cell whose missing corner has no more weight than this.
 _ROUNDING = 1e-9
 _MOST_NODES = 10_000_000
+# Each joint more doubles the corners of a cell: of twenty joints one reading took hundreds of megabytes.
+_MOST_JOINTS = 8
 SCHEMA = 1
 _RUN = "run"  # in files of results
 _KEYS = ("schema", "frame", "joints", "dimensions", "reference", "axes", "lengths", "errors", "measured")
@@ -234,6 +236,11 @@ def grid_from_residuals(
     given = axes or {}
     names = [reading.name for reading in robot_readings]
     numbers = joint_numbers(names, joints, frame)
+    if len(numbers) > _MOST_JOINTS:
+        raise JobError(
+            f"a grid of residuals spans {_MOST_JOINTS} joints at most, and {len(numbers)} are named; a Gaussian "
+            "process has no such bound."
+        )
     for name in given:
         if name not in joints:
             raise JobError(f"nodes are given for {name!r}, which is not a joint of the grid: {', '.join(joints)}.")
@@ -490,6 +497,8 @@ def head_of(
 def _grid_of(arrays: Mapping[str, npt.NDArray[Any]]) -> SectorGrid:
     frame, readings, numbers = head_of(arrays, {"lengths": "i", "measured": "b"})
     lengths, n = arrays["lengths"], len(readings)
+    if len(numbers) > _MOST_JOINTS:
+        raise NotReadableError(f"it spans more than {_MOST_JOINTS} joints")
     if lengths.shape != (len(numbers),) or (lengths < 2).any() or arrays["axes"].shape != (int(lengths.sum()),):
         raise NotReadableError("its axes are not at least two nodes for every joint")
     axes = tuple(read_only(axis) for axis in np.split(arrays["axes"], np.cumsum(lengths)[:-1]))

@@ -231,6 +231,23 @@ def test_options_that_cannot_be_used() -> None:
         made(frame="nowhere")
 
 
+def test_a_grid_over_many_joints_is_refused_where_it_is_made_and_read(tmp_path: Path) -> None:
+    """A cell has 2^k corners: of a grid of twenty joints, packed 30 kB, a dozen readings took minutes and 5 GB."""
+    readings = tuple(Reading(f"j{k}", "angle", -3.0, 3.0) for k in range(9))
+    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=9)))
+    names, errors = [reading.name for reading in readings], np.zeros((len(corners), 3))
+    with pytest.raises(JobError, match="a grid of residuals spans 8 joints at most, and 9 are named"):
+        grid_from_residuals(corners, errors, readings, names)
+    known = grid_from_residuals(corners[::2], errors[::2], readings, names[:8])
+    assert np.array_equal(known.at(corners[:5], clamp=True), errors[:5])
+    shape = (2,) * 9
+    axes, measured = known.axes + known.axes[:1], np.ones(shape, dtype=bool)
+    wide = replace(known, joints=tuple(range(9)), axes=axes, errors=np.zeros((*shape, 3)), measured=measured)
+    (tmp_path / "grid.npz").write_bytes(grid.grid_bytes(replace(wide, reference=np.full(9, np.nan))))
+    with pytest.raises(OutputError, match="it spans more than 8 joints"):
+        load_grid(tmp_path / "grid.npz")
+
+
 # ---- files
 
 
