@@ -147,7 +147,11 @@ def _beyond_limits(m: Measurements, readings: Sequence[Reading]) -> Iterable[Fin
     in_degrees = _excess(m.readings * DEG, readings).max(axis=0) <= slack
     many = np.mean(excess > slack, axis=0) >= _MANY
     far = many & (np.abs(m.readings).max(axis=0) > _FAR_BEYOND * largest)
-    degrees = far & in_degrees & np.array([reading.dimension == "angle" for reading in readings], dtype=np.bool_)
+    angles = np.array([reading.dimension == "angle" for reading in readings], dtype=np.bool_)
+    # As controllers write them that count from 0 to 360 deg.
+    turns = [_excess(m.readings + turn, readings) for turn in (-2.0 * np.pi, 0.0, 2.0 * np.pi)]
+    turned = angles & (np.min(turns, axis=0).max(axis=0) <= slack)
+    degrees = far & in_degrees & angles & ~turned
 
     def farthest(j: int) -> str:
         reading, row = readings[j], int(excess[:, j].argmax())
@@ -175,7 +179,8 @@ def _beyond_limits(m: Measurements, readings: Sequence[Reading]) -> Iterable[Fin
         yield Finding(
             "error" if beyond[j] > _BEYOND * largest[j] else "warning",
             "beyond-limits",
-            f"{farthest(j)}; {np.sum(excess[:, j] > slack[j])} of {len(m)} rows are beyond.",
+            f"{farthest(j)}; {np.sum(excess[:, j] > slack[j])} of {len(m)} rows are beyond"
+            + (", and all fit a whole turn away: take it off there." if turned[j] else "."),
         )
 
 

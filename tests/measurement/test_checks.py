@@ -107,6 +107,16 @@ def test_degrees_in_some_rows_of_a_column() -> None:
     assert sentence.endswith(f"all its rows fit: {N - within} of {N} numbers, or all, seem to be degrees, not [rad].")
 
 
+def test_readings_from_0_to_360_degrees_are_no_degrees() -> None:
+    """As a controller counts that knows no sign: the limits of the joint are those of the URDF."""
+    readings = sound_readings()
+    below = int(np.sum(readings[:, 0] < 0.0))
+    readings[:, 0] %= 2.0 * np.pi
+    [(severity, code, sentence)] = found(measurements(readings))
+    assert (severity, code) == ("error", "beyond-limits")
+    assert sentence.endswith(f"{below} of {N} rows are beyond, and all fit a whole turn away: take it off there.")
+
+
 def test_radians_under_deg() -> None:
     u = np.random.default_rng(7).uniform(-1.0, 1.0, size=(N, 1))
     readings = np.hstack([u * 2.0, u - 1.5, u, 0.25 + 0.1 * u]) / DEGREES
