@@ -64,12 +64,12 @@ def identify(
 
     ``free``: names and globs of those parameters of the model that are free this time; all of them when None. What is
     not free stays as in ``start``, an earlier fit of the same model, or nominal; sigmas, and the uncertainty of the
-    machine, count how sure that fit was. ``null_space`` says what to do about
-    directions that the data do not determine: "nearest" takes, among all equal fits, the machine nearest to the nominal
-    one; "minimal" holds at nominal what exceeds a minimal set of parameters; "refuse" raises. ``model_sigmas``:
-    standard deviations (m or rad) of what the model cannot explain, one for each component of the data (position, then
-    orientation, of each set in order); None for one that is to be estimated. ``losses``: one for each set: "linear" for
-    least squares, or "huber", "soft_l1" or "cauchy", which give outlying rows less weight; all are linear when None.
+    machine, count how sure that fit was. ``null_space`` says what to do about directions that the data do not
+    determine: "nearest" takes, among all equal fits, the machine nearest to the nominal one; "minimal" holds at nominal
+    what exceeds a minimal set of parameters; "refuse" raises. ``model_sigmas``: standard deviations (m or rad) of what
+    the model cannot explain, one for each component of the data (position, then orientation, of each set in order);
+    None for one that is to be estimated. ``losses``: one for each set: "linear" for least squares, or "huber",
+    "soft_l1" or "cauchy", which give outlying rows less weight; all are linear when None.
 
     Raises JobError when nothing is free, MeasurementError when the measurements are not of this robot,
     IdentificationError when the rows are too few or when there is a null space under "refuse".
