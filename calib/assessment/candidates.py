@@ -13,7 +13,7 @@ from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.chance import drawing
-from calib.foundations.choices import MOST_POSES, Observed
+from calib.foundations.choices import MOST_CANDIDATES, Observed
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import finite, refuse_beyond, refuse_shape
 from calib.foundations.units import DEG
@@ -227,8 +227,8 @@ def random_candidates(
     """
     if count < 1:
         raise JobError(f"{count} random poses are asked for; it takes one at least.")
-    if count > MOST_POSES:
-        raise JobError(f"{count} random poses are asked for; allowed are {MOST_POSES}.")
+    if count > MOST_CANDIDATES:
+        raise JobError(f"{count} random poses are asked for; allowed are {MOST_CANDIDATES}.")
     limits = joint_limits(robot)
     if np.all(limits[:, 0] == limits[:, 1]):
         raise JobError(

@@ -14,7 +14,7 @@ from calib.assessment.views import Views, plan_views, view_candidates
 from calib.cli.application import Telling
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
-from calib.foundations.choices import MOST_POSES, Criterion, Observed
+from calib.foundations.choices import MOST_CANDIDATES, Criterion, Observed
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.files import is_there, write_new
@@ -122,8 +122,8 @@ def is_count(text: str) -> bool:
 def parsed_count(text: str) -> int:
     """Return a number of candidates."""
     # A number of thousands of digits is none for Python.
-    if not 1 <= float(text) <= MOST_POSES:
-        raise JobError(f"candidates: {shown(text)} is not a number from 1 to {MOST_POSES}, nor a file.")
+    if not 1 <= float(text) <= MOST_CANDIDATES:
+        raise JobError(f"candidates: {shown(text)} is not a number from 1 to {MOST_CANDIDATES}, nor a file.")
     return int(text)
 
 
@@ -266,8 +266,8 @@ def plan_photographs(
         raise JobError(f"{job}: photographs are planned beside those of a job; take a few, and calib import images.")
     if not is_count(candidates):
         raise JobError(
-            f"candidates: {shown(candidates)} is not a number from 1 to {MOST_POSES}; views to photograph are drawn at "
-            "random."
+            f"candidates: {shown(candidates)} is not a number from 1 to {MOST_CANDIDATES}; views to photograph are "
+            "drawn at random."
         )
     drawn = parsed_count(candidates)
     with telling.progress(steps=4) as say:

@@ -19,5 +19,7 @@ Convention = Literal["standard", "modified"]
 Target = Literal["ur", "offsets", "dh", "ros", "xacro"]
 # Of random poses: what a person waits for, and a memory holds.
 MOST_POSES = 1_000_000
+# Of candidates, of each of which some copies of all its derivatives are kept: a gigabyte for an arm of six joints.
+MOST_CANDIDATES = 100_000
 # Parts that rows are held out in, one after the other.
 FOLDS = 10
