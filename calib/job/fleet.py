@@ -289,6 +289,7 @@ def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[D
     started = {"initializer": _serve, "initargs": (os.getpid(),)}
 
     loky = joblib.parallel_config("loky", n_jobs=count, inner_max_num_threads=1, **started)
+    _mind_quietly()
     with loky, _ending_in_order(), _ending_quietly(), warnings.catch_warnings():
         # Whoever interrupts knows that tasks are left undone.
         warnings.filterwarnings("ignore", r".*tasks (which were still|have been successfully)")
@@ -297,6 +298,21 @@ def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[D
                 yield finished
         finally:
             _end_workers()
+
+
+def _mind_quietly() -> None:
+    """Start the helper of joblib that takes back what processes share, without warnings: of what it finds gone, too.
+
+    A signal may come between taking something back and telling the helper of it.
+    """
+    from joblib.externals.loky.backend import resource_tracker  # noqa: PLC0415 - calib must not load it on import
+
+    given = sys.warnoptions
+    sys.warnoptions = ["ignore"]  # it is started with these
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        sys.warnoptions = given
 
 
 @contextmanager

@@ -360,6 +360,10 @@ def test_what_is_finished_is_kept_and_the_workers_end(folder: Path, by: signal.S
         time.sleep(0.01)
     workers = psutil.Process(running.pid).children(recursive=True)
     assert len(workers) >= 2
+    # What minds their resources may find some gone that the signal cut short: it says so to nobody.
+    assert [
+        "-Wignore" in worker.cmdline() for worker in workers if "loky.backend.resource_tracker" in str(worker.cmdline())
+    ] == [True]
     if by == signal.SIGINT:
         os.killpg(running.pid, by)  # as a terminal does
         said = "Error: interrupted; what is finished is kept, and the same command goes on with the rest.\n"
