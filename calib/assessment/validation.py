@@ -465,7 +465,7 @@ def unharmed(figures: Sequence[HeldOut]) -> tuple[int, ...]:
 def smallest_unharmed(figures: Sequence[HeldOut]) -> int:
     """Return which of models of growing size, that harm nowhere, the one-standard-error rule takes."""
     sound = unharmed(figures)
-    return 0 if sound == (0,) else sound[one_standard_error([figures[k] for k in sound])]
+    return sound[one_standard_error([figures[k] for k in sound])]
 
 
 def largest_unharmed(figures: Sequence[HeldOut], *, apart: bool) -> int:
@@ -500,4 +500,5 @@ def surely_less(squares: Array, than: Array, group: IntArray) -> bool:
 def one_standard_error(figures: Sequence[HeldOut]) -> int:
     """Return which of models of growing size the one-standard-error rule takes."""
     best = min(figures, key=lambda figure: figure.rms)
-    return next(k for k, figure in enumerate(figures) if figure.rms <= best.rms + best.standard_error)
+    # The best may foretell nothing, with errors without end.
+    return next(k for k, figure in enumerate(figures) if figure is best or figure.rms <= best.rms + best.standard_error)
