@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations.arrays import Array, read_only
+from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.linear import svd
 from calib.identification.parameters import Parameter, scales
@@ -31,7 +31,7 @@ class Errors(NamedTuple):
     along: Array
     null_basis: Array
 
-    def of(self, rows: Sequence[int]) -> "Errors":
+    def of(self, rows: Sequence[int] | IntArray) -> "Errors":
         """Return those of some parameters, by number; zeros where that is -1."""
         which = np.array(rows, dtype=np.intp)
         return Errors(*(np.vstack([part, np.zeros(part.shape[1])])[which] for part in self))

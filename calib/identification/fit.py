@@ -135,7 +135,7 @@ class Fit:
     @property
     def sigmas(self) -> Array:
         """Standard deviations (p,) in SI units; nan for what no data and no prior determine."""
-        moved = np.hstack([self.by_null_space, self.by_earlier])
+        moved = self._beside_noise
         variances = np.maximum(self.spread.variances, 0.0) + np.sum(moved**2, axis=1)
         return np.where(self.unidentifiable, np.nan, np.sqrt(variances))
 
@@ -152,6 +152,10 @@ class Fit:
         """A factor (p, r), in SI units, of what parameters may be off by as what is held of an earlier fit is."""
         p = len(self.parameters)
         return np.zeros((p, 0)) if self.earlier is None else np.hstack(self.earlier.errors[:2])[:p]
+
+    @property
+    def _beside_noise(self) -> Array:
+        return np.hstack([self.by_null_space, self.by_earlier])
 
     @property
     def correlated(self) -> IntArray:
@@ -181,7 +185,7 @@ class Fit:
 
         Of parameters that are not identifiable it is that of the chosen frame.
         """
-        moved = np.hstack([self.by_null_space, self.by_earlier])[parameters]
+        moved = self._beside_noise[parameters]
         return np.asarray(self.spread.of(parameters) + moved @ moved.T)
 
     def errors_of(self, names: Sequence[str]) -> Errors:

@@ -75,15 +75,13 @@ def identify(
     IdentificationError when the rows are too few or when there is a null space under "refuse".
     """
     with one_thread():
-        found = _identify(model, measurements, free, start, null_space, model_sigmas, losses)
-        return found if start is None else _holding(found, start)
+        return _identify(model, measurements, free, start, null_space, model_sigmas, losses)
 
 
-def _holding(fit: Fit, start: Fit) -> Fit:
-    """Return the fit with what errors of what it holds from an earlier one do."""
+def _holding(fit: Fit, start: Fit, every: Sequence[Parameter]) -> Fit:
+    """Return the fit with what errors of what it holds of ``every`` parameter from an earlier one do."""
     known = {parameter.name for parameter in (*start.parameters, *(start.earlier.parameters if start.earlier else ()))}
     own = {parameter.name for parameter in (*fit.parameters, *fit.held)}
-    every = initial_problem(fit.model, fit.measurements).parameters
     held = tuple(p for p in every if p.name in known and p.name not in own and not p.nuisance)
     if not held:
         return fit
@@ -212,7 +210,7 @@ def _identify(
     sigmas = weights.sigmas_of(plain, spread_out, after)
     spread, memories, repeats = with_memory(replace(problem, together=()), found.x, sigmas, after, found.spread)
     noise = _noise(problem, found._replace(variances=spread_out), after)
-    return Fit(
+    fit = Fit(
         model=model,
         measurements=tuple(data.at_clock(machine.frames.scalars) for data in sets),
         parameters=problem.parameters,
@@ -244,6 +242,8 @@ def _identify(
         repeats=repeats,
         together=problem.together,
     )
+    # Of fits alike, which only compare, nobody asks how sure they are.
+    return fit if begin is None or together is not None else _holding(fit, begin, whole.parameters)
 
 
 def _erring_together(
@@ -359,13 +359,15 @@ def _with_tools(
     if not ends:
         return problem, found, learned
     count = found.evaluations + sum(end.search.evaluator.count for end in ends)
-    best = min(ends, key=lambda end: _squares(problem, end.x, _sigmas(problem, found)))
-    if _clearly_less(problem, best.x, problem, found):
+    sigmas = _sigmas(problem, found)
+    before, after = _squares(problem, found.x, sigmas), [_squares(problem, end.x, sigmas) for end in ends]
+    best = ends[int(np.argmin(after))]
+    if _clearly_less(min(after), before):
         freed = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
         for begin, near in ((x0, Near(best.x, best.noise.variances)), (best.x, None)):
             new, again, anew = solve_learning(freed, begin, variances, near)
             count += again.evaluations
-            if _clearly_less(new, again.x, problem, found):
+            if _clearly_less(_squares(new, again.x, sigmas), before):
                 return new, again._replace(evaluations=count), anew
         # It is known not to be the minimum.
         found = found._replace(converged=False)
@@ -385,13 +387,13 @@ def _minimal(
     """
     kept, directions = told
     smaller, less = _solved_for(problem, kept, variances)
-    if _clearly_less(problem, found.x, smaller, less):
+    if _clearly_worse(smaller, less, problem, found.x):
         kept, directions = identifiability.told(
             found.spectrum.rows, found.directions.common_rank(0.0), problem.parameters
         )
         near = Near(found.x[list(kept)], found.variances)
         smaller, less = _solved_for(problem, kept, variances, near)
-        if _clearly_less(problem, found.x, smaller, less):
+        if _clearly_worse(smaller, less, problem, found.x):
             less = less._replace(converged=False)
     return smaller, less, kept, directions
 
@@ -405,10 +407,15 @@ def _solved_for(
     return smaller, solve(smaller, x0, _given(smaller, variances), near)
 
 
-def _clearly_less(one: Problem, x: Array, other: Problem, found: Solution) -> bool:
-    """Return whether the sum of squares of one problem at x (p,) is clearly less than that of the other's solution."""
-    sigmas = _sigmas(other, found)
-    return _squares(one, x, sigmas) < (1.0 - _CLEARLY) * _squares(other, found.x, sigmas) - _SOME
+def _clearly_worse(problem: Problem, found: Solution, other: Problem, x: Array) -> bool:
+    """Return whether another problem at x (p,) fits clearly better than the solution of one does."""
+    sigmas = _sigmas(problem, found)
+    return _clearly_less(_squares(other, x, sigmas), _squares(problem, found.x, sigmas))
+
+
+def _clearly_less(one: float, other: float) -> bool:
+    """Return whether a sum of squares is clearly less than another one."""
+    return one < (1.0 - _CLEARLY) * other - _SOME
 
 
 def _squares(problem: Problem, x: Array, sigmas: Sequence[Array]) -> float:

@@ -113,7 +113,7 @@ def _null_basis(fit: Fit) -> Array:
         both = np.hstack([basis, fit.earlier.errors.null_basis / scales(parameters)[:, None]])
         U, s, _ = svd(both, full_matrices=False)
         basis = U[:, s > _SAME_DIRECTION]
-    own = [k for k, parameter in enumerate(parameters) if not parameter.nuisance]
+    own = _of_machine(parameters)
     named = [parameters[k] for k in own]
     return _to_state(fit, named, fit.machine) @ (basis[own] * scales(named)[:, None])
 
@@ -127,21 +127,21 @@ def _closure_determinant(fit: Fit) -> float | None:
 
 def measured_factor(fit: Fit) -> Array:
     """Return a factor (n, r) of the covariance of the machine's state by noise alone, null space left out."""
-    own = _of_machine(fit)
+    own = _of_machine(fit.parameters)
     parameters = [fit.parameters[k] for k in own]
     return np.asarray(_to_state(fit, parameters, fit.machine) @ _factor(fit.spread.of(own), scales(parameters)))
 
 
 def _of_earlier(fit: Fit, earlier: Earlier) -> Errors:
     """Return the errors of an earlier fit in the machine's state."""
-    own = [k for k, parameter in enumerate(earlier.parameters) if not parameter.nuisance]
+    own = _of_machine(earlier.parameters)
     to_state = _to_state(fit, [earlier.parameters[k] for k in own], fit.machine)
     return Errors(*(to_state @ part for part in earlier.errors.of(own)))
 
 
-def _of_machine(fit: Fit) -> IntArray:
+def _of_machine(parameters: Sequence[Parameter]) -> IntArray:
     """Return the parameters, by number, that the state can follow: targets and instruments are no part of it."""
-    return np.array([k for k, parameter in enumerate(fit.parameters) if not parameter.nuisance], dtype=np.intp)
+    return np.array([k for k, parameter in enumerate(parameters) if not parameter.nuisance], dtype=np.intp)
 
 
 def _to_state(fit: Fit, parameters: Sequence[Parameter], machine: Machine) -> Array:

@@ -25,10 +25,13 @@ def tools_elsewhere(problem: Problem, x0: Array) -> tuple[Array, ...]:
     tools, or where a tip link hardly turns at all.
     """
     robot, sets, layout = problem.model.robot, problem.measurements, Layout.of(problem.model.robot, problem.reference)
-    bases = problem.reference.bases[:, :3, :3]
+    held = sorted({(p.entries[0][0] - layout.tools) // 6 for p in problem.parameters if p.freed is not None})
+    if not held:
+        return ()
+    tips, bases = [data.tips(robot, problem.held) for data in sets], problem.reference.bases[:, :3, :3]
     change, common = np.zeros(layout.size), np.zeros(3)
-    for k in sorted({(p.entries[0][0] - layout.tools) // 6 for p in problem.parameters if p.freed is not None}):
-        R = np.concatenate([data.tips(robot, problem.held)[data.tool == k, :3, :3] for data in sets])
+    for k in held:
+        R = np.concatenate([T[data.tool == k, :3, :3] for data, T in zip(sets, tips, strict=True)])
         mean = R.mean(axis=0)
         _, sizes, Vt = linear.svd(linear.triangle((R - mean).reshape(-1, 3)))
         if sizes[1] < _TURNS * np.sqrt(len(R)):
