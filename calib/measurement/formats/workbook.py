@@ -26,6 +26,7 @@ _LAST_ROW = 1_048_576
 _PLACE = re.compile(
     rb"""<(?:\w+:)?(?:row\s(?:[^<>]*?\s)?r=["'](\d{1,20})|c\s(?:[^<>]*?\s)?r=["']([A-Z]{1,3})\d{1,20})["']"""
 )
+_FORMULA = re.compile(rb"<(?:\w+:)?f[\s/>]")
 # openpyxl looks for dates in the format of every style, in a time that grows with the square of its length.
 _FORMAT = re.compile(rb"""formatCode\s*=\s*["']([^"'<]*)""")
 _MOST_OF_FORMATS = 2_000_000_000
@@ -47,8 +48,10 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             _refuse_bombs(archive, len(data), where)
-            for name in _sheets(data, where):
-                _refuse_order(archive.read(name).replace(b"\0", b""), where)  # UTF-16 as well
+            sheets = [archive.read(name).replace(b"\0", b"") for name in _sheets(data, where)]  # UTF-16 as well
+        for sheet in sheets:
+            _refuse_order(sheet, where)
+        formulas = any(map(_FORMULA.search, sheets))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of styles and extensions that are not needed
             book = _opened(data)
@@ -56,7 +59,7 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
             rows = _rows(first, where)
             # Not by openpyxl, which works out a shared formula for every cell that has it, however long it is.
             with first._get_source() as part:
-                uncomputed = _uncomputed(part)
+                uncomputed = _uncomputed(part) if formulas else ""
             book.close()
     except MeasurementError:
         raise
