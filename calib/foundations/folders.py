@@ -42,7 +42,7 @@ _NEW, _OLD, _LIST = "new", "old", "list.json"
 _MARK = "files of an unfinished run of calib, which the next one removes"
 _LARGEST_LIST = 100_000
 # How long to wait for another run to read or write beside a folder, in s: it takes moments.
-PATIENCE = 30.0
+_PATIENCE = 30.0
 _LOOK = 0.02
 # What paths may raise: also for links in a circle, and zero bytes in names.
 _ANY = (OSError, RuntimeError, ValueError)
@@ -171,7 +171,7 @@ def refuse_kept(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def reading_folder(path: Path, patience: float = PATIENCE) -> Iterator[None]:
+def reading_folder(path: Path, patience: float = _PATIENCE) -> Iterator[None]:
     """Keep a folder as it is while the block reads it: another run waits before it replaces it.
 
     What a killed run left is put right first. Whether there is such a folder, the block finds out. Raises OutputError
@@ -377,7 +377,7 @@ def _clean(place: _Place) -> None:
 
 
 @contextlib.contextmanager
-def _locked(place: _Place, kind: int, patience: float = PATIENCE) -> Iterator[None]:
+def _locked(place: _Place, kind: int, patience: float = _PATIENCE) -> Iterator[None]:
     """Hold a lock on the folder above.
 
     The folder itself is locked: nothing is left behind, and readers need not write. A file system that has no such

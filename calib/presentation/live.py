@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.foundations.errors import CalibError, KeptError, OutputError, PoseError
 from calib.foundations.files import read_inside, stamp
-from calib.foundations.folders import PATIENCE, reading_folder
+from calib.foundations.folders import reading_folder
 from calib.foundations.units import MM, UNITS
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import load_machine
@@ -28,8 +28,8 @@ from calib.robot.robot import Deviations
 
 # How often a folder is looked at for newer results, in s.
 _EVERY = 1.0
-# How often a page is looked for where another run keeps the folder, in s.
-_AGAIN = 0.1
+# How often a page is looked for where another run keeps the folder, and for how long, in s.
+_AGAIN, _PATIENCE = 0.1, 30.0
 # Shown of joints without limits: one turn, or one metre, to both sides.
 _TURN, _METRE = np.pi, 1.0
 _LONGEST_MESSAGE = 100_000
@@ -76,7 +76,7 @@ async def _run(
     class Page(Guarded):
         async def get(self, name: str) -> None:
             # The lock is not waited for at once: nobody else would be answered meanwhile, nor Ctrl-C heard.
-            until = time.monotonic() + PATIENCE
+            until = time.monotonic() + _PATIENCE
             while time.monotonic() < until:
                 try:
                     with reading_folder(folder, patience=0.0):
