@@ -85,9 +85,9 @@ def refuse_folder(out: Path, inputs: Sequence[Path] = ()) -> Path:
     out = real_folder(out)
     with sentences(out, OutputError, "cannot hold the results"):
         for file in inputs:
-            if out in (file.resolve(), *file.resolve().parents):
+            if _leads_through(file.resolve(), out):
                 raise OutputError(f"{out}: holds the input {file.name!r}, which results never replace; choose another.")
-        if out in (Path.cwd(), *Path.cwd().parents):
+        if _leads_through(Path.cwd(), out):
             raise OutputError(f"{out}: is the current folder or holds it, and is replaced as a whole; choose another.")
         refuse_unwritable(out)
         refuse_kept(out)
@@ -95,6 +95,12 @@ def refuse_folder(out: Path, inputs: Sequence[Path] = ()) -> Path:
         if out.is_mount():
             raise OutputError(f"{out}: is a mount point, which cannot be replaced; choose a folder inside.")
     return out
+
+
+def _leads_through(path: Path, folder: Path) -> bool:
+    """Return whether a path is a folder, or in it, also where it calls it otherwise: by a mount, or other capitals."""
+    every = (path, *path.parents)
+    return folder in every or (folder.exists() and any(one.exists() and one.samefile(folder) for one in every))
 
 
 def _refuse_foreign(folder: Path) -> None:

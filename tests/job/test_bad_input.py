@@ -272,6 +272,17 @@ def test_out_holds_an_input_behind_a_link(folder: Path) -> None:
     refused(folder, "real", why)
 
 
+def test_out_holds_an_input_that_is_called_otherwise(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By a mount, or in other capitals where these count for nothing: no name of both is the same then."""
+    assert run("calibrate", JOB, "-o", "out").code == 0
+    (folder / TABLE).rename(folder / "out" / "residuals.csv")
+    job((f'"{TABLE}"', '"mounted/residuals.csv"'))(folder)
+    (folder / "mounted").symlink_to("out")
+    monkeypatch.setattr(Path, "resolve", Path.absolute)  # as of what is no link
+    why = f"{folder}/out: holds the input 'residuals.csv', which results never replace; choose another."
+    refused(folder, "out", why)
+
+
 def test_out_is_an_input(folder: Path) -> None:
     refused(folder, TABLE, f"{folder}/{TABLE}: holds the input '{TABLE}', which results never replace; choose another.")
 
