@@ -493,6 +493,35 @@ def test_databases_that_compute_what_is_read_are_refused(said: str, inside: bool
         topics(path if inside else file)
 
 
+# Each of ten mappings takes in the one before nine times.
+LAUGHS = "- &m0 {history: 1}\n" + "".join(
+    f"- &m{k} {{<<: [{', '.join(9 * [f'*m{k - 1}'])}]}}\n" for k in range(1, 11)
+)
+
+
+@pytest.mark.parametrize("said", ["- 5", "- history: often", LAUGHS], ids=("none", "words", "laughs"))
+def test_a_database_is_read_whatever_it_says_of_how_messages_were_sent(said: str, tmp_path: Path) -> None:
+    file = commanded(tmp_path, f"UPDATE topics SET offered_qos_profiles = '{said}'")
+    for path in (file, file.parent):
+        assert len(read_topic(path, "/joint_states").rows) == 30
+
+
+@pytest.mark.parametrize("kind", ["ros2", "mcap"])
+def test_how_messages_were_sent_is_not_read(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is YAML of its own in the metadata, in databases and in channels of MCAP."""
+    from rosbags.rosbag2 import reader, storage_mcap, storage_sqlite3
+
+    def never(_: object) -> None:
+        raise AssertionError
+
+    path = recording(tmp_path, kind)
+    for module in (reader, storage_mcap, storage_sqlite3):
+        monkeypatch.setattr(module, "parse_qos", never)
+    for one in (path, next(path.glob("*.mcap" if kind == "mcap" else "*.db3"))):
+        assert len(topics(one)) == 6
+    assert reader.parse_qos is never
+
+
 def with_shared_pages(file: Path, tree: str) -> None:
     """Put pages above a tree of a database that each point a hundred times to the next: 10^20 times to the last."""
     import sqlite3

@@ -103,6 +103,7 @@ def limited(where: Path, size: int) -> Iterator[None]:
     from rosbags.rosbag1 import reader as of_ros1  # noqa: PLC0415
     from rosbags.rosbag2 import reader as of_ros2  # noqa: PLC0415
     from rosbags.rosbag2 import storage_mcap as of_mcap  # noqa: PLC0415
+    from rosbags.rosbag2 import storage_sqlite3 as of_sqlite  # noqa: PLC0415
 
     unpacker = Unpacker(where, size)
     zstd: Any = vars(of_ros2)["zstd"]
@@ -160,7 +161,10 @@ def limited(where: Path, size: int) -> Iterator[None]:
         "get_types_from_idl": partial(definitions.of_idl, anyreader.get_types_from_idl),
     }
 
+    # How messages were sent is YAML in the metadata, a database or a channel; it takes no part, and is not read.
+    unread = {"parse_qos": lambda _: []}
     tables: tuple[tuple[Any, dict[str, Any]], ...] = (
+        *((vars(module), unread) for module in (of_ros2, of_mcap, of_sqlite)),
         (vars(anyreader), parsers),
         (vars(of_ros1), {"Header": Header, "read_bytes": partial(bytes_of, of_ros1.read_bytes)}),
         (of_ros1.decompressors, ros1),
