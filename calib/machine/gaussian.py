@@ -155,11 +155,24 @@ class GaussianResiduals:
         none = np.zeros((len(readings), 0))
         return Leaning(np.zeros((*none.shape, len(self.readings))), none, sigma / self.kernel.amplitude, sigma)
 
-    def own_errors(self, readings: Array, noise: float) -> Array:  # noqa: ARG002 - it has found its own
-        """Return a factor (N, N) of the covariance of the true errors given the rows, whose diagonal is of sigma."""
+    def scatter(self, noise: float) -> float:
+        """Return what its rows scatter by beyond their ``noise``: errors of the tool that its joints do not tell.
+
+        Less what is chance, as one in two noises is found too large (James and Stein, 1961).
+        """
+        beyond = self.kernel.noise**2 - noise**2
+        if beyond <= 0.0:
+            return 0.0
+        doubt = self.kernel.noise**4 * 2.0 / self.errors.size
+        return float(np.sqrt(max(beyond - doubt / beyond, 0.0)))
+
+    def own_errors(self, readings: Array, noise: float) -> Array:
+        """Return a factor (N, N) of the covariance of the true errors given the rows, of :meth:`sigma` and scatter."""
         points = self._points(readings)
         known = scipy.linalg.solve_triangular(self.factor, self.kernel.between(self.points, points), lower=True)
-        values, vectors = np.linalg.eigh(self.kernel.between(points, points) - known.T @ known)
+        covariance = self.kernel.between(points, points) - known.T @ known
+        covariance[np.diag_indices_from(covariance)] += self.scatter(noise) ** 2
+        values, vectors = np.linalg.eigh(covariance)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
     @property

@@ -118,6 +118,10 @@ class SectorGrid:
         found[row, number.reshape(-1)] = noise * lean.weights[row, corner]
         return found
 
+    def scatter(self, noise: float) -> float:  # noqa: ARG002 - it is told pose by pose, from where it was measured
+        """Return 0: the other joints stood still at its nodes, and what errs otherwise elsewhere is in `leaning`."""
+        return 0.0
+
     @property
     def when_clamped(self) -> str:
         """What :meth:`at` returns outside, where it clamps."""

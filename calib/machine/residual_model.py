@@ -38,6 +38,12 @@ class ResidualModel(Protocol):
         What it gets wrong is common to neighbours. ``noise``: standard deviation of what it was made of, in m.
         """
 
+    def scatter(self, noise: float) -> float:
+        """Return the standard deviation in m of what a component errs by from pose to pose, whatever neighbours do.
+
+        It is in what the model was made of, beside ``noise``, in m: errors that follow other joints than the model's.
+        """
+
     @property
     def when_clamped(self) -> str:
         """What is added in such rows where it clamps."""

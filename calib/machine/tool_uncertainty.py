@@ -295,6 +295,7 @@ def _of_block(of: _Errors, readings: Array, conditions: Conditions) -> tuple[Arr
     if model is not None and known.position is not None:
         lean = model.leaning(readings)
         own = lean.sigma**2 + np.sum(lean.weights**2, axis=1) * known.position.total**2
+        own += model.scatter(known.position.total) ** 2
         squares[:, CAUSES.index("residual_model"), 0] = 3.0 * own
         scatter[:, :3] += own[:, None]
     covariance = errors @ np.swapaxes(errors, 1, 2)

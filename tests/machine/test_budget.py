@@ -318,3 +318,27 @@ def test_plain_json_of_the_budget() -> None:
     fit, *_ = fitted()
     found = calib.judging.uncertainty_map(machine_of(fit), 20)
     assert json.loads(json.dumps(rms_by_cause(found.budget))).keys() == set(CAUSES)
+
+
+def test_what_a_process_over_some_joints_scatters_by_moves_the_tool() -> None:
+    """Errors of the wrist are none that a process over the first joints follows: they come at every pose anew."""
+    fit, *_ = fitted(off=waving)
+    rng, names = np.random.default_rng(4), [reading.name for reading in fit.robot.readings]
+    readings = rng.uniform(-1.0, 1.0, (400, 6))
+
+    def errors(q: Array) -> Array:
+        return 2e-4 * np.stack([np.sin(q[:, 0]), np.cos(q[:, 1]), q[:, 0]], axis=1) + 5e-5 * np.sin(5.0 * q[:, 3:])
+
+    plain = machine_of(fit)
+    total = plain.known_uncertainty.position.total  # type: ignore[union-attr]
+    seen = errors(readings) + rng.normal(scale=total, size=(400, 3))
+    process = gaussian_from_residuals(readings, seen, fit.robot.readings, names[:3])
+    machine = replace(plain, residual_model=process)
+    new = rng.uniform(-1.0, 1.0, (200, 6))
+    off = np.linalg.norm(process.at(new) - errors(new), axis=1)
+    assert share(machine, new, "residual_model") == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.15)
+    some = new[:50]
+    told = np.trace(own_errors(machine, fit.measurements[0], some), axis1=2, axis2=3).diagonal()
+    assert np.sqrt(told.mean()) == pytest.approx(share(machine, some, "residual_model"), rel=1e-6)
+    # Noise is no error of the tool.
+    assert process.scatter(process.kernel.noise) == process.scatter(1.001 * process.kernel.noise) == 0.0
