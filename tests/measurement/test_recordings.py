@@ -448,6 +448,13 @@ COMPUTED = {
         "DROP TABLE topics",
         "ALTER TABLE other RENAME TO topics",
     ),
+    "of 0 numbers": (
+        "CREATE TABLE other(id TEXT, name, type, serialization_format, offered_qos_profiles, type_description_hash)",
+        "INSERT INTO other SELECT '0' || id, name, type, serialization_format, '', '' FROM topics",
+        "DROP TABLE topics",
+        "ALTER TABLE other RENAME TO topics",
+    ),
+    "a column with a default of 203 characters": (f"ALTER TABLE messages ADD COLUMN more DEFAULT x'{'00' * 100}'",),
 }
 
 
@@ -493,10 +500,26 @@ def test_databases_that_compute_what_is_read_are_refused(said: str, inside: bool
         topics(path if inside else file)
 
 
+def test_what_a_database_goes_through_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tables that say of themselves that they are small are gone through whole for every topic, without an index."""
+    file = commanded(
+        tmp_path,
+        "ANALYZE; DELETE FROM sqlite_stat1;"
+        "INSERT INTO sqlite_stat1 VALUES ('messages', NULL, '1'), ('topics', NULL, '1');"
+        "WITH RECURSIVE n(k) AS (SELECT 100 UNION ALL SELECT k + 1 FROM n WHERE k < 1100) INSERT INTO topics "
+        "SELECT k, 'more', 'none', 'cdr', '', '' FROM n",
+    )
+    assert len(read_topic(file, "/joint_states").rows) == 30
+    monkeypatch.setattr(unpacking, "LEAST_STEPS", 200_000)
+    monkeypatch.setattr(unpacking, "STEPS_PER_BYTE", 0)
+    for read in (topics, partial(read_topic, name="/joint_states")):
+        with pytest.raises(MeasurementError, match=f"{file.name}: takes longer to read"):
+            read(file)
+    assert len(read_topic(recording(tmp_path / "good", "ros2"), "/joint_states").rows) == 30
+
+
 # Each of ten mappings takes in the one before nine times.
-LAUGHS = "- &m0 {history: 1}\n" + "".join(
-    f"- &m{k} {{<<: [{', '.join(9 * [f'*m{k - 1}'])}]}}\n" for k in range(1, 11)
-)
+LAUGHS = "- &m0 {history: 1}\n" + "".join(f"- &m{k} {{<<: [{', '.join(9 * [f'*m{k - 1}'])}]}}\n" for k in range(1, 11))
 
 
 @pytest.mark.parametrize("said", ["- 5", "- history: often", LAUGHS], ids=("none", "words", "laughs"))

@@ -33,6 +33,10 @@ _LENGTH = struct.Struct("<xQ")
 MOST_TOPICS = 10_000
 # Steps in which SQLite reads what tables there are; some dozens each are needed.
 _MOST_STEPS = 1_000_000
+# Steps in which it reads what is in them, for each byte of the file, and at least; a message needs some dozens.
+STEPS_PER_BYTE, LEAST_STEPS, _STEPS_AT_ONCE = 100, 20_000_000, 100_000
+# Every row that ends before a column with a default has all of it.
+_LONGEST_DEFAULT = 100
 _PIECE = 1_000_000
 
 
@@ -43,6 +47,7 @@ class Unpacker:
         self._where = where
         self._left = max(LEAST_TOTAL, MOST_PER_BYTE * size)
         self._records_left = max(LEAST_RECORDS, RECORDS_PER_BYTE * size)
+        self._steps_left = max(LEAST_STEPS, STEPS_PER_BYTE * size)
 
     def unpacked(self, make: Callable[[], Any], data: bytes) -> bytes:
         """Return what decompressors as those of the standard library make of the streams in ``data``."""
@@ -83,6 +88,13 @@ class Unpacker:
             raise MeasurementError(f"{self._where}: has a header of more than {LARGEST_HEADER} bytes.")
         self._take_records(1 + size // _BYTES_OF_A_RECORD)
 
+    def steps(self) -> bool:
+        """Count steps of SQLite, which is told by whether it is to end: it never is."""
+        self._steps_left -= _STEPS_AT_ONCE
+        if self._steps_left < 0:
+            raise MeasurementError(f"{self._where}: takes longer to read than a recording of its size can take.")
+        return False
+
     def _take_records(self, many: int) -> None:
         self._records_left -= many
         if self._records_left < 0:
@@ -98,7 +110,8 @@ class Unpacker:
 @contextmanager
 def limited(where: Path, size: int) -> Iterator[None]:
     """Give rosbags these decompressors for as long as a recording of ``size`` bytes is read."""
-    from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 - an extra
+    import apsw  # noqa: PLC0415 - an extra
+    from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415
     from rosbags.highlevel import anyreader  # noqa: PLC0415
     from rosbags.rosbag1 import reader as of_ros1  # noqa: PLC0415
     from rosbags.rosbag2 import reader as of_ros2  # noqa: PLC0415
@@ -129,6 +142,9 @@ def limited(where: Path, size: int) -> Iterator[None]:
     def database(path: Any) -> Any:
         refuse_computed(Path(str(path)))
         return of_ros2.Sqlite3Reader(path)
+
+    def counted(connection: Any) -> None:
+        connection.set_progress_handler(unpacker.steps, _STEPS_AT_ONCE)
 
     class Indexed(of_ros1.Reader):  # type: ignore[misc]  # rosbags is an extra, which is not looked at
         """Reads no more of indexes than the file has: chunks may share one."""
@@ -162,7 +178,7 @@ def limited(where: Path, size: int) -> Iterator[None]:
     }
 
     # How messages were sent is YAML in the metadata, a database or a channel; it takes no part, and is not read.
-    unread = {"parse_qos": lambda _: []}
+    unread: dict[str, Any] = {"parse_qos": lambda _: []}
     tables: tuple[tuple[Any, dict[str, Any]], ...] = (
         *((vars(module), unread) for module in (of_ros2, of_mcap, of_sqlite)),
         (vars(anyreader), parsers),
@@ -174,11 +190,13 @@ def limited(where: Path, size: int) -> Iterator[None]:
         (vars(of_ros2.Reader)["STORAGE_PLUGINS"], {".db3": database}),
     )
     before = [dict(table) for table, _ in tables]
+    apsw.connection_hooks.append(counted)
     try:
         for table, ours in tables:
             table.update(ours)
         yield
     finally:
+        apsw.connection_hooks.remove(counted)
         for (table, _), was in zip(tables, before, strict=True):
             table.update(was)
 
@@ -206,14 +224,19 @@ def refuse_computed(path: Path) -> None:
                 raise MeasurementError(f"{path}: has a {what}; a recording has plain tables alone.")
             names += [name] if kind == "table" else []
         for name in names:
-            if any(hidden for *_, hidden in database.execute("SELECT * FROM pragma_table_xinfo(?)", (name,))):
-                raise MeasurementError(f"{path}: has a computed column; a recording has plain tables alone.")
+            for *_, default, _, hidden in database.execute("SELECT * FROM pragma_table_xinfo(?)", (name,)):
+                if hidden:
+                    raise MeasurementError(f"{path}: has a computed column; a recording has plain tables alone.")
+                if len(default or "") > _LONGEST_DEFAULT:
+                    raise MeasurementError(f"{path}: has a column with a default of {len(default)} characters.")
         database.set_progress_handler(None)
         database.execute("PRAGMA ignore_check_constraints = 1")  # which would compute as well
         if list(database.execute("PRAGMA quick_check(1)")) != [("ok",)]:
             raise MeasurementError(f"{path}: is a damaged database; what is left of it, .recover of sqlite3 may save.")
         if "topics" in names:
-            many, different = next(iter(database.execute("SELECT count(*), count(DISTINCT id) FROM topics")))
+            # Texts such as "1" and "01" are different, and both the number of a message's topic.
+            number = "CASE typeof(id) WHEN 'integer' THEN id END"
+            many, different = next(iter(database.execute(f"SELECT count(*), count(DISTINCT {number}) FROM topics")))
             if many > MOST_TOPICS or many != different:
                 raise MeasurementError(f"{path}: has {many} topics, of {different} numbers.")
     finally:
