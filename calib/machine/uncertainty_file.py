@@ -13,6 +13,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.json_text import NotJsonError, validated
+from calib.foundations.linear import triangle
 from calib.identification.machine import Layout
 from calib.machine.run import Sha256, refuse_other_run
 from calib.machine.uncertainty import CAUSES, LeftOut, NoiseLevel, OwnNoise, Uncertainty, Waves, WindUp
@@ -30,6 +31,8 @@ UNCERTAINTY_FILE = "uncertainty.json"
 _LARGEST, _LARGEST_DETERMINANT = 1e6, 1e12
 _Number = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
 _Size = Annotated[float, Field(ge=0.0, le=_LARGEST)]
+# More than results have. What is done with them takes memory with their square, or for each configuration.
+_MANY_COLUMNS = 1000
 # As much as rounding adds to the model's part of a noise that has no other.
 _ROUNDING = 1e-9
 
@@ -236,10 +239,8 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
     if sum(causes) != columns or (left_out is not None and left_out.columns > causes[2]):
         raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at causes.")
     return Uncertainty(
-        factor,
-        causes,
-        left_out,
-        null_basis,
+        *_narrowed(factor, causes, left_out),
+        read_only(_narrow(null_basis)),
         _level_of(found.position),
         _level_of(found.orientation),
         read_only([found.identified[name] for name in names]),
@@ -247,6 +248,27 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
         tuple(entry.noise for entry in found.own_noise),
         {str(name): ends for name, ends in found.conditions.items()},
     )
+
+
+def _narrowed(
+    factor: Array, causes: tuple[int, int, int], left_out: LeftOut | None
+) -> tuple[Array, tuple[int, int, int], LeftOut | None]:
+    """Return the same covariances, of each cause by itself, in no more columns than they need where these are many."""
+    if factor.shape[1] <= _MANY_COLUMNS:
+        return factor, causes, left_out
+    alone = factor.shape[1] - (0 if left_out is None else left_out.columns)
+    *parts, own = np.split(factor, [causes[0], causes[0] + causes[1], alone], axis=1)
+    parts = list(map(_narrow, parts))
+    if left_out is not None:  # its columns and those of its root belong together
+        both = _narrow(np.vstack([own, left_out.root]))
+        own, left_out = both[: len(own)], left_out._replace(root=read_only(both[len(own) :]))
+    instrument, parameters, model = (part.shape[1] for part in parts)
+    return read_only(np.hstack([*parts, own])), (instrument, parameters, model + own.shape[1]), left_out
+
+
+def _narrow(M: Array) -> Array:
+    """Return a matrix with the same product with its own transpose; of very many columns as many as it has rows."""
+    return M if M.shape[1] <= max(len(M), _MANY_COLUMNS) else triangle(M.T).T
 
 
 def _why(error: "ErrorDetails") -> str:

@@ -275,6 +275,44 @@ def test_a_file_of_the_second_schema_has_waves_each_by_itself(tmp_path: Path) ->
     assert tool_uncertainty(calib.load_machine(folder), arm.draw(np.random.default_rng(2), 3)).position.all()
 
 
+def test_matrices_of_very_many_columns_are_told_by_fewer(tmp_path: Path) -> None:
+    """A small file may have so many that products of them fill the memory; they say no more than few do."""
+    fit, _, arm = fitted()
+    folder, readings, rng = written(fit, tmp_path), arm.draw(np.random.default_rng(2), 5), np.random.default_rng(3)
+    before = calib.load_machine(folder)
+    contents = json.loads((folder / "uncertainty.json").read_text())
+
+    def widened(*matrices: Array) -> list[Array]:
+        turned = np.linalg.qr(rng.standard_normal((2000, matrices[0].shape[1])))[0].T
+        return [M @ turned for M in matrices]
+
+    factor, null_basis, root = (np.array(contents[key]) for key in ("factor", "null_basis", "left_out"))
+    ends = np.cumsum([contents["causes"][cause] for cause in CAUSES[:2]])
+    *parts, own = np.split(factor, [*ends, factor.shape[1] - root.shape[1]], axis=1)
+    own, root = widened(own, root)
+    parts = [widened(part)[0] if part.size else part for part in parts]
+    contents |= {
+        "causes": dict(zip(CAUSES, [parts[0].shape[1], parts[1].shape[1], parts[2].shape[1] + 2000], strict=False)),
+        "factor": np.hstack([*parts, own]).tolist(),
+        "null_basis": widened(null_basis)[0].tolist(),
+        "left_out": root.tolist(),
+    }
+    (folder / "uncertainty.json").write_text(json.dumps(contents))
+    after = calib.load_machine(folder)
+    known = after.known_uncertainty
+    n, many = len(known.factor), len(root)
+    assert known.null_basis.shape == (n, n)
+    assert known.left_out is not None
+    assert known.left_out.columns == n + many
+    assert known.factor.shape[1] == sum(known.causes) <= 4 * n + many
+    here, there = (tool_uncertainty(machine, readings) for machine in (before, after))
+    np.testing.assert_allclose(there.covariance, here.covariance, rtol=1e-6, atol=1e-9 * np.abs(here.covariance).max())
+    np.testing.assert_allclose(there.null_space_rms, here.null_space_rms, rtol=1e-6, atol=1e-12)
+    for cause in CAUSES:
+        np.testing.assert_allclose(there.budget[cause], here.budget[cause], rtol=1e-6, atol=1e-12)
+    assert not any(change.moved for change in calib.judging.compare(before, after).changes)
+
+
 def test_a_folder_without_the_file_is_a_model_without_doubts(tmp_path: Path) -> None:
     folder = written(fitted(offsets=["elbow_joint"], placements="none")[0], tmp_path)
     (folder / "uncertainty.json").unlink()
