@@ -17,8 +17,8 @@ import numpy as np
 from calib.assessment.entering import Products
 from calib.assessment.validation import HeldOut, held_out, surely_less, unharmed
 from calib.foundations.arrays import Array, BoolArray, IntArray
-from calib.identification.learned import learned_widths, too_few, without_few
-from calib.identification.widths import NormalEquations, Widths, nearby
+from calib.identification.learned import too_few
+from calib.identification.widths import NormalEquations, Widths, likeliest_widths, nearby
 from calib.robot.terms import JointTerm
 
 
@@ -71,7 +71,7 @@ class Offer(NamedTuple):
     """What is offered: harmonics of the ``kept`` readings up to an ``order``.
 
     ``harmonics`` (readings, orders, 2): the columns of these and of all others. ``start``: widths that all rows teach,
-    and ``few`` (readings,): of which readings they keep the typical size.
+    and ``few`` (readings,): of which readings they are hardly taught.
     """
 
     known: Known
@@ -108,7 +108,8 @@ class Offer(NamedTuple):
         if columns.size == chosen.size:
             return None
         rows = _Equations(known, harmonics, products, columns).of(columns, None)
-        start = learned_widths(rows, few, np.array(begin) if len(begin) == len(few) else None)
+        widths = np.array(begin) if len(begin) == len(few) else np.ones(len(few))
+        start = likeliest_widths(rows, widths, few=few.astype(np.float64))
         return cls(known, harmonics, kept, order, start, few)
 
     def columns(self, chosen: IntArray) -> IntArray:
@@ -121,8 +122,7 @@ class Offer(NamedTuple):
         equations = _Equations(self.known, self.harmonics, products, np.unique(np.concatenate(own)))
         found = np.zeros((len(own), len(self.known.weak)))
         for k, columns in enumerate(own):
-            rows = without_few(equations.of(columns, k), self.few)
-            z = nearby(rows, self.start.widths[~self.few], self.start.factors)
+            z = nearby(equations.of(columns, k), self.start.widths, self.start.factors, self.few.astype(np.float64))
             found[k, np.concatenate([self.known.geometry, columns])] = z
         return found
 

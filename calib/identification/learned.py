@@ -1,8 +1,8 @@
 """Priors whose width the data teach: solve, learn the widths where all is linear, solve again until they stay.
 
-A group that too few directions of the data speak of keeps the width of one parameter scale: a width of one or two
-numbers would be chance. One of which nothing shows comes to what could hide from the data. One at the widest that is
-allowed is as good as without a prior.
+A group that too few directions of the data speak of keeps a usual width, since one of one or two numbers would be
+chance; unless even these are farther off, which says that the others may be as well. One of which nothing shows comes
+to what could hide from the data. One at the widest that is allowed is as good as without a prior.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,12 +16,14 @@ from calib.identification.parameters import Parameter, scales
 from calib.identification.set_up_motions import without
 from calib.identification.solver import Near, Solution, Sought, seek, solve
 from calib.identification.system import Problem
-from calib.identification.widths import WIDEST, NormalEquations, Widths, likeliest_widths, likelihood
+from calib.identification.widths import WIDEST, NormalEquations, likeliest_widths, likelihood
 
 Outcome = Literal["learned", "too few", "nothing shows", "widest"]
 
-# Directions of a group that the data must see, given priors of a parameter scale, before they may teach a width.
+# Directions of a group that the data must see, given priors of a usual width, before they may teach one.
 _FEWEST = 3.0
+# Usual widths are one parameter scale, but zeros of joints that turn, which are set by hand, so many: 5 mrad.
+_ZEROS = 5.0
 # Normal equations hold half of a double's digits, and must tell the widest prior from none. Rows with less noise than
 # that allows, a fraction of a micrometre, are taken to have so much.
 _MOST_INFORMATION = 1e10
@@ -36,9 +38,9 @@ class LearnedPrior:
     """The standard deviation, in ``unit``, that the parameters of a group have about zero, and what taught it.
 
     ``parameters``: how many are in the group; ``taught``: how many of them, in sum, the data determine rather than the
-    prior. ``outcome``: "learned"; "too few" to learn from, so that the width is a parameter scale; "nothing shows"
-    where the data are no likelier with the group than without it, so that the width is what they could not notice; or
-    the "widest" that is allowed.
+    prior. ``outcome``: "learned"; "too few" to learn from, so that the width is a usual one, or wider where these
+    few are farther off; "nothing shows" where the data are no likelier with the group than without it, so that the
+    width is what they could not notice; or the "widest" that is allowed.
     """
 
     group: str
@@ -63,16 +65,17 @@ def solve_learning(
     names = tuple(dict.fromkeys(p.group for p in problem.parameters if p.group is not None))
     if not names:
         return problem, solve(problem, x0, variances, near), ()
-    widths = np.ones(len(names))
+    usual = _usual(problem.parameters, names)
+    widths = usual
     problem = _with_widths(problem, names, widths)
     found = seek(problem, x0, variances, near, roughly=True)
     rows = _equations(problem, found, variances, names)
-    seen = _seen(rows, len(names))
+    seen = _seen(rows, usual)
     few = np.asarray(seen < _FEWEST)
     taught, shown = seen, ~few
     closely = False
     for first in (True, *(False,) * (_MOST_ROUNDS - 1)):
-        new, _, taught, shown = _learned(rows, widths, few)
+        new, _, taught, shown = likeliest_widths(rows, widths, few=np.where(few, usual, 0.0))
         change = float(np.max(np.abs(np.log(new / widths))))
         if closely and change < _NO_CHANGE:
             break
@@ -143,40 +146,18 @@ def _equations(
     )
 
 
+def _usual(parameters: Sequence[Parameter], names: Sequence[str]) -> Array:
+    zeros = {q.group for q in parameters if q.kind == "offset" and q.unit == "rad"}
+    return np.array([_ZEROS if name in zeros else 1.0 for name in names])
+
+
 def too_few(rows: NormalEquations, groups: int) -> BoolArray:
     """Return which of so many groups, of the scale of their parameters, the data say too little of to teach a width."""
-    return np.asarray(_seen(rows, groups) < _FEWEST)
+    return np.asarray(_seen(rows, np.ones(groups)) < _FEWEST)
 
 
-def learned_widths(rows: NormalEquations, few: BoolArray, begin: Array | None = None) -> Widths:
-    """Return the widths that equations teach; groups with too ``few`` (g,) keep the scale of their parameters.
-
-    ``begin`` (g,): those to begin with, the scale of parameters when None.
-    """
-    return _learned(rows, np.ones(len(few)) if begin is None else begin, few)
-
-
-def _seen(rows: NormalEquations, groups: int) -> Array:
-    return likelihood(rows, np.ones(groups), np.ones(len(rows.counts))).gamma
-
-
-def without_few(rows: NormalEquations, few: BoolArray) -> NormalEquations:
-    """Return equations in which groups with too ``few`` (g,) keep the parameter scale, and the others are counted."""
-    number = np.append(np.where(few, -1, np.cumsum(~few) - 1), -1)
-    known, p = rows.known.copy(), len(rows.group)
-    known[range(p), range(p)] += np.where(np.append(few, False)[rows.group], 1.0, 0.0)
-    return rows._replace(known=known, group=number[rows.group])
-
-
-def _learned(rows: NormalEquations, widths: Array, few: BoolArray) -> Widths:
-    """Return new widths (g,) and what they come with; groups with too ``few`` keep the parameter scale."""
-    c = len(rows.counts)
-    if few.all():
-        return Widths(np.ones(len(few)), np.ones(c), np.zeros(len(few)), ~few)
-    found = likeliest_widths(without_few(rows, few), widths[~few])
-    new, taught, shown = np.ones(len(few)), np.zeros(len(few)), ~few
-    new[~few], taught[~few], shown[~few] = found.widths, found.gamma, found.shown
-    return Widths(new, found.factors, taught, shown)
+def _seen(rows: NormalEquations, widths: Array) -> Array:
+    return likelihood(rows, widths, np.ones(len(rows.counts))).gamma
 
 
 def _told(

@@ -19,12 +19,13 @@ from calib.foundations.linear import one_thread, svd, triangle
 from calib.identification.arrow import Arrow
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.parameters import Parameter, scales
-from calib.identification.widths import NormalEquations, likeliest_widths, likelihood
+from calib.identification.widths import POWER, NormalEquations, likeliest_widths, likelihood
 
 # Directions of a group that the data must see, given weak priors, before they may teach a width: else it stays weak.
 _FEWEST = 3.0
-# The power of a width by which the likelihood is multiplied, as of the sizes of what is left out.
-_POWER = 0.25
+# The power of widths where errors of many kinds are summed up, as of the sizes of what is left out: it keeps the sum as
+# large as errors are.
+_IN_SUMS = 0.25
 # Normal equations hold half of a double's digits, as in :mod:`calib.identification.learned`.
 _MOST_INFORMATION = 1e10
 # Singular values below this share of the largest are rounding.
@@ -71,15 +72,15 @@ class AlongNullSpace:
         found, common = np.array([q.width / q.scale for q in self.parameters]), self.rows.split.common
         left = self.rows.reduced(RANK_TOLERANCE).rest
         likely = [self.parameters[k] for k in common]
-        found[common] = likely_widths(likely, -left[:, :-1], left[:, -1], (self.values / units)[common])
+        found[common] = likely_widths(likely, -left[:, :-1], left[:, -1], (self.values / units)[common], POWER)
         return found
 
 
-def likely_widths(parameters: Sequence[Parameter], J: Array, r: Array, z: Array) -> Array:
+def likely_widths(parameters: Sequence[Parameter], J: Array, r: Array, z: Array, power: float = _IN_SUMS) -> Array:
     """Return how wide the priors (p,) of parameters are, in their scales: as known, or as the data teach.
 
     ``J`` (q, p) and ``r`` (q,): derivatives of what is predicted, and measured less predicted, whitened by the noise,
-    at parameters ``z`` (p,), in scales from nominal.
+    at parameters ``z`` (p,), in scales from nominal. ``power``: of a width by which the likelihood is multiplied.
     """
     held = np.array([parameter.width / parameter.scale for parameter in parameters])
     group = _groups(parameters)
@@ -89,7 +90,7 @@ def likely_widths(parameters: Sequence[Parameter], J: Array, r: Array, z: Array)
         widths = held[group >= 0][of_row]
         few = likelihood(rows, widths, np.ones(1)).gamma < _FEWEST
         if not few.any():
-            taught = likeliest_widths(rows, widths, _POWER).widths
+            taught = likeliest_widths(rows, widths, power).widths
             return np.where(group >= 0, taught[group], held)
         # What shows too little is no longer among those that are taught.
         left = np.where(few, -1, np.cumsum(~few) - 1)

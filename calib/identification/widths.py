@@ -8,10 +8,15 @@ parameters the data have determined rather than the prior, and C is their poster
 and nothing to gamma, so that no width is taken from it.
 
 Where little shows, the likelihood is often largest at width zero, and coefficients that are there would be said to be
-none with certainty. So the likelihood is multiplied by w for every group, which keeps widths about one standard error
-off zero and is hardly felt elsewhere: at the top ``w^2 = sum x^2 / (gamma - 1)`` (Y. Chung, S. Rabe-Hesketh, V. Dorie,
-A. Gelman, J. Liu, *A nondegenerate penalized likelihood estimator for variance parameters in multilevel models*,
-Psychometrika 78, 2013).
+none with certainty. So the likelihood is multiplied by a power of w for every group, which keeps widths off zero and is
+hardly felt elsewhere (Y. Chung, S. Rabe-Hesketh, V. Dorie, A. Gelman, J. Liu, *A nondegenerate penalized likelihood
+estimator for variance parameters in multilevel models*, Psychometrika 78, 2013, with the power 1). With w^2 the top is
+``w^2 = sum x^2 / (gamma - 2)``. That is the variance of Student's distribution, which what does not show follows if n
+directions show of the group: on average of squares it is as far off as w, of however few w is learned.
+
+A group of which too few directions show keeps a usual width u, but is widened where even these few are farther off:
+``w^2 = (sum x^2 + u^2) / (gamma + 1)``, and no less than u^2. It is the top if the likelihood is multiplied by
+``exp(-u^2 / (2 w^2)) / w``, a gamma distribution of ``1 / w^2`` of mean ``1 / u^2``.
 
 The sigmas of the noise are found together with the widths, as each decides what is left for the other. Parameters
 without a learned prior are integrated out as well, which makes this a restricted likelihood.
@@ -29,6 +34,8 @@ from calib.foundations.errors import IdentificationError
 # From a thousandth to a hundred parameter scales: a coefficient with the narrowest does not show, the widest is no
 # prior.
 NARROWEST, WIDEST = 1e-3, 1e2
+# The power of widths by which the likelihood is multiplied.
+POWER = 2.0
 # A component's noise may come out so many times larger than the fit has found it, or smaller.
 _MOST_NOISE = 1e3
 _MOST_STEPS = 300
@@ -87,6 +94,34 @@ class Widths(NamedTuple):
     shown: BoolArray
 
 
+class _Held(NamedTuple):
+    """What is known of widths beside the data: the likelihood is multiplied by ``w^power exp(-assumed / (2 w^2))``.
+
+    ``power``, ``assumed`` and ``least``, the narrowest: of every group (g,).
+    """
+
+    power: Array
+    assumed: Array
+    least: Array
+
+    @classmethod
+    def of(cls, power: float, usual: Array) -> "_Held":
+        """Return it for groups of which some keep a ``usual`` width (g,), zero for those that the data teach."""
+        return cls(np.where(usual > 0.0, -1.0, power), usual**2, np.where(usual > 0.0, usual, NARROWEST))
+
+    def adds(self, logs: Array) -> tuple[float, Array]:
+        """Return what it adds to -2 log likelihood for logarithms of widths (g,), and its slopes (g,)."""
+        assumed = self.assumed * np.exp(-2.0 * logs)
+        return float(np.sum(assumed - 2.0 * self.power * logs)), -2.0 * (assumed + self.power)
+
+    def turned(self, found: Likelihood, widths: Array) -> Array:
+        """Return widths (g,) at which slopes would vanish if the parameters stayed."""
+        squares = found.gamma - 0.5 * found.by_widths + self.assumed / widths**2
+        left = found.gamma - self.power
+        turned = np.where(left > 0.0, widths * np.sqrt(squares / np.maximum(left, 1e-9)), widths)
+        return np.asarray(np.clip(turned, self.least, WIDEST))
+
+
 def likelihood(rows: NormalEquations, widths: Array, factors: Array) -> Likelihood:
     """Return the marginal likelihood for widths (g,) of the groups and factors (c,) of the components' sigmas.
 
@@ -122,12 +157,16 @@ def likelihood(rows: NormalEquations, widths: Array, factors: Array) -> Likeliho
 
 
 def searched(
-    rows: NormalEquations, start: Array, held: Callable[[Array], tuple[float, Array]], ftol: float = _ENOUGH
+    rows: NormalEquations,
+    start: Array,
+    held: Callable[[Array], tuple[float, Array]],
+    ftol: float = _ENOUGH,
+    least: Array | None = None,
 ) -> tuple[Array, Array]:
     """Return the likeliest widths (g,), from ``start`` (g,) on, and factors (c,).
 
     ``held``: what more is known of widths, as a function of their logarithms (g,): what it adds to -2 log likelihood,
-    with its slopes (g,).
+    with its slopes (g,). ``least`` (g,): the narrowest.
     """
     g = len(start)
     low = np.where(rows.fixed, 1.0, np.clip(rows.least, 1.0 / _MOST_NOISE, 1.0))
@@ -137,7 +176,9 @@ def searched(
         found, (more, slopes) = likelihood(rows, np.exp(theta[:g]), np.exp(theta[g:])), held(theta[:g])
         return found.value + more, np.concatenate([found.by_widths + slopes, found.by_factors])
 
-    bounds = np.log(np.concatenate([np.tile([[NARROWEST, WIDEST]], (g, 1)), np.column_stack([low, high])]))
+    narrowest = np.full(g, NARROWEST) if least is None else least
+    of_widths = np.column_stack([narrowest, np.full(g, WIDEST)])
+    bounds = np.log(np.concatenate([of_widths, np.column_stack([low, high])]))
     result = scipy.optimize.minimize(
         cost,
         np.clip(np.log(np.concatenate([start, np.ones(len(low))])), bounds[:, 0], bounds[:, 1]),
@@ -149,40 +190,36 @@ def searched(
     return np.exp(result.x[:g]), np.exp(result.x[g:])
 
 
-def likeliest_widths(rows: NormalEquations, start: Array, power: float = 1.0) -> Widths:
-    """Return the widths of the largest likelihood times a ``power`` of widths; ``start`` (g,): those to begin with."""
-    g = len(start)
+def likeliest_widths(rows: NormalEquations, start: Array, power: float = POWER, few: Array | None = None) -> Widths:
+    """Return the widths of the largest likelihood times a ``power`` of widths; ``start`` (g,): those to begin with.
 
-    def held(logs: Array) -> tuple[float, Array]:
-        return -2.0 * power * float(np.sum(logs)), np.full(g, -2.0 * power)
-
-    widths, factors = searched(rows, start, held, ftol=1e-13)
+    ``few`` (g,): the usual widths of groups of which too little shows, which keep these unless they are farther off;
+    zero for others.
+    """
+    held = _Held.of(power, np.zeros(len(start)) if few is None else few)
+    widths, factors = searched(rows, start, held.adds, ftol=1e-13, least=held.least)
     found = likelihood(rows, widths, factors)
     # Where there is hardly any noise, rounding in the likelihood ends the search early; its slopes know better.
     for _ in range(_MOST_TURNS):
-        turned = _turned(found, widths, power)
+        turned = held.turned(found, widths)
         change, widths = float(np.max(np.abs(np.log(turned / widths)))), turned
         found = likelihood(rows, widths, factors)
         if change < _SETTLED:
             break
-    without = np.where(np.eye(g, dtype=bool), NARROWEST, widths)
+    without = np.where(np.eye(len(start), dtype=bool), NARROWEST, widths)
     shown = np.array([likelihood(rows, narrow, factors).value > found.value for narrow in without], dtype=bool)
     return Widths(widths, factors, found.gamma, shown)
 
 
-def nearby(rows: NormalEquations, widths: Array, factors: Array) -> Array:
-    """Return the parameters (p,) of the likeliest widths (g,) and factors (c,), near those of almost the same rows."""
-    found = likelihood(rows, widths, factors)
+def nearby(rows: NormalEquations, widths: Array, factors: Array, few: Array) -> Array:
+    """Return the parameters (p,) of the likeliest widths (g,) and factors (c,), near those of almost the same rows.
+
+    ``few`` (g,): as of :func:`likeliest_widths`.
+    """
+    found, held = likelihood(rows, widths, factors), _Held.of(POWER, few)
     for _ in range(_FEW_TURNS):
-        widths = _turned(found, widths, 1.0)
+        widths = held.turned(found, widths)
         explained = factors * np.sqrt(np.maximum(1.0 - 0.5 * found.by_factors / rows.counts, 0.0))
         factors = np.where(rows.fixed, 1.0, np.clip(explained, np.minimum(rows.least, 1.0), _MOST_NOISE))
         found = likelihood(rows, widths, factors)
     return found.z
-
-
-def _turned(found: Likelihood, widths: Array, power: float) -> Array:
-    """Return widths (g,) at which slopes would vanish if the parameters stayed."""
-    squares, left = found.gamma - 0.5 * found.by_widths, found.gamma - power
-    turned = np.where(left > 0.0, widths * np.sqrt(squares / np.maximum(left, 1e-9)), widths)
-    return np.asarray(np.clip(turned, NARROWEST, WIDEST))

@@ -209,7 +209,7 @@ def prior_sentences(fit: "Fit") -> tuple[str, ...]:
         of = f"{prior.taught:.1f} of {prior.parameters}"
         what = {
             "learned": f"{sigma}, learned; the data determine {of} parameters",
-            "too few": f"{sigma}, not learned; the data determine only {of} parameters",
+            "too few": f"{sigma}, hardly learned; the data determine only {of} parameters",
             "nothing shows": f"{sigma}, too small for the data to show any of its {prior.parameters} parameters",
             "widest": f"{sigma}, the largest that is allowed, which is as good as no prior",
         }[prior.outcome]

@@ -10,13 +10,15 @@ longer or shorter than stated. The base leans by 1 to 10 mrad in about half of t
 others.
 
 Counted are the sessions of which a parameter is more than four sigmas off, and those of which one is more than four
-times the noise's part of its sigma off. --markdown writes the table into a page, between the comments that name this
-script. Machines are made and walked by scripts/development/judge_machines.py: nothing of calib's mathematics.
+times the noise's part of its sigma off. The same sessions with learned priors follow: there a share of parameters is
+counted, as one width is the sigma of all that do not show. --markdown writes the tables into a page, between the
+comments that name this script. Machines are made and walked by scripts/development/judge_machines.py: nothing of
+calib's mathematics.
 """
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -222,8 +224,8 @@ class Measured(NamedTuple):
     true: State
 
 
-def measured(which: str, free: str, seed: int) -> Measured:
-    """Measure a machine with a tool that is stated wrongly."""
+def measured(which: str, free: str, seed: int, *, learned: bool = False) -> Measured:
+    """Measure a machine with a tool that is stated wrongly; the model may have priors of ``learned`` widths."""
     rng = np.random.default_rng([seed, *which.encode(), *free.encode()])
     text, (placements, off) = urdf(ARMS[which]), PLACEMENTS[free]
     found, robot = arm(text, TIP), calib.load_robot(parse_urdf(text.encode(), "arm.urdf"), TIP)
@@ -239,16 +241,22 @@ def measured(which: str, free: str, seed: int) -> Measured:
     columns |= {f"{axis} [m]": seen[:, k] for k, axis in enumerate("xyz")}
     data = calib.read_measurements(columns, robot, "position", sigma=sigma)
     model = calib.error_model(
-        robot, offsets="all", placements=placements, known=calib.Known(tools={"tool": list(stated)})
+        robot,
+        offsets="all",
+        placements=placements,
+        known=calib.Known(tools={"tool": list(stated)}),
+        priors=calib.Priors(length="learned", angle="learned") if learned else calib.Priors(),
     )
     return Measured(model, data, found, true)
 
 
-def session(which: str, free: str, seed: int) -> Session:
-    """Measure, identify, and compare with the truth."""
-    of = measured(which, free, seed)
+def session(which: str, free: str, seed: int, *, learned: bool = False) -> Session:
+    """Measure, identify, and compare with the truth; with priors of ``learned`` widths their parameters alone."""
+    of = measured(which, free, seed, learned=learned)
     fit = calib.identify(of.model, of.data)
     own = ~fit.unidentifiable
+    if learned:
+        own &= [parameter.group is not None for parameter in fit.parameters]
     names = tuple(parameter.name for parameter, is_ in zip(fit.parameters, own, strict=True) if is_)
     errors = (fit.values - true_values(of.arm, of.true, fit))[own]
     return Session(
@@ -267,40 +275,49 @@ def session(which: str, free: str, seed: int) -> Session:
 class Counts:
     """Of sessions of a kind, in how many some parameter was far off, and how many misfit.
 
-    ``parameters``: identifiable ones of all sessions.
+    ``parameters``: identifiable ones of all sessions, ``parameters_far`` of them far off.
     """
 
     far: int
     far_by_noise: int
     misfits: int
     parameters: int
+    parameters_far: int
 
 
-def counted(which: str, free: str, sessions: int) -> Counts:
+def counted(which: str, free: str, sessions: int, *, learned: bool = False) -> Counts:
     """Simulate sessions of a kind; those that are far off are printed."""
-    far = far_by_noise = misfits = parameters = 0
+    far = far_by_noise = misfits = parameters = parameters_far = 0
+    kind = f"{which}, {free}{', learned' if learned else ''}"
     for seed in range(sessions):
-        found = session(which, free, seed)
+        found = session(which, free, seed, learned=learned)
         parameters += len(found.names)
         misfits += found.misfits
         beyond = np.abs(found.off) > FAR
         far += bool(np.any(beyond))
+        parameters_far += int(np.count_nonzero(beyond))
         far_by_noise += bool(np.any(np.abs(found.off_by_noise) > FAR))
         for k in np.flatnonzero(beyond):
             print(
-                f"{which}, {free}, session {seed}: {found.names[k]} off by {found.off[k]:.1f} sigmas "
-                f"of {found.sigmas[k]:.2g}",
+                f"{kind}, session {seed}: {found.names[k]} off by {found.off[k]:.1f} sigmas of {found.sigmas[k]:.2g}",
                 flush=True,
             )
-    return Counts(far, far_by_noise, misfits, parameters)
+    return Counts(far, far_by_noise, misfits, parameters, parameters_far)
 
 
 def table(found: Mapping[tuple[str, str], Counts]) -> str:
     """The counts of all kinds of sessions."""
+    return _rows(found, lambda counts: f"{counts.far} ({counts.far_by_noise})")
+
+
+def table_of_shares(found: Mapping[tuple[str, str], Counts]) -> str:
+    """The shares of parameters that are far off."""
+    return _rows(found, lambda counts: f"{counts.parameters_far / counts.parameters:.1%}".replace("%", " %"))
+
+
+def _rows(found: Mapping[tuple[str, str], Counts], told: Callable[[Counts], str]) -> str:
     lines = [f"| arm | {' | '.join(PLACEMENTS)} |", f"|---{'|--:' * len(PLACEMENTS)}|"]
-    for which in ARMS:
-        own = [found[which, free] for free in PLACEMENTS]
-        lines.append(f"| {which} | {' | '.join(f'{counts.far} ({counts.far_by_noise})' for counts in own)} |")
+    lines += (f"| {which} | {' | '.join(told(found[which, free]) for free in PLACEMENTS)} |" for which in ARMS)
     return "\n".join(lines)
 
 
@@ -311,11 +328,14 @@ def main() -> int:
     arguments = parser.parse_args()
     with one_thread():
         found = {kind: counted(*kind, arguments.sessions) for kind in product(ARMS, PLACEMENTS)}
+        learned = {kind: counted(*kind, arguments.sessions, learned=True) for kind in product(ARMS, PLACEMENTS)}
     parameters = sum(counts.parameters for counts in found.values())
     misfits = sum(counts.misfits for counts in found.values())
     text = (
         f"{table(found)}\n\n{arguments.sessions} sessions of each kind, {parameters} identifiable parameters in all.\n"
-        f"The variance of the residuals is more than twice that of the noise in {misfits} sessions."
+        f"The variance of the residuals is more than twice that of the noise in {misfits} sessions.\n\n"
+        f"With learned priors, of the parameters that have these so many are more than 4 sigma off:\n\n"
+        f"{table_of_shares(learned)}"
     )
     print(text)
     if arguments.markdown is not None:
