@@ -22,7 +22,7 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
-from calib.foundations.chance import exceeded
+from calib.foundations.chance import bound, exceeded
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, svd, triangle
 from calib.foundations.ranges import refuse_beyond
@@ -60,6 +60,12 @@ class ChiSquare:
     def passed(self) -> bool:
         """Whether the residuals are no larger than the stated uncertainty explains, at ``SIGNIFICANCE``."""
         return self.probability >= SIGNIFICANCE
+
+    @property
+    def half_seen(self) -> float:
+        """How many times larger than stated errors are of which this test finds half; 1 of very many rows."""
+        freedom = self.degrees_of_freedom
+        return float(np.sqrt(bound(1.0 - SIGNIFICANCE, freedom) / bound(0.5, freedom)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

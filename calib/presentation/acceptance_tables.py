@@ -13,6 +13,8 @@ from calib.machine.place import undetermined_in_words
 from calib.presentation.report.document import Row, Sheet
 from calib.presentation.sheets import figures_in, signed
 
+# So many times larger than stated are errors of which a test of few rows finds half, that it is said.
+_SURELY = 1.5
 # Three shifts and three turns.
 _ALL_DIRECTIONS = 6
 
@@ -35,7 +37,13 @@ def verification_lines(found: Verification) -> list[str | Text]:
         largest = found.decisive.metrics["position"].max
         side = "is within" if found.within_limit else "exceeds"
         lines.append(f"The largest position error, {largest / MM:.4f} mm, {side} the limit, {found.limit / MM:g} mm.")
-    lines.append(_tested(found.decisive.test))
+    test = found.decisive.test
+    lines.append(_tested(test))
+    if test.passed and test.half_seen > _SURELY:
+        times = f"{test.half_seen:.1f}"
+        lines.append(
+            f"So few rows show little: with errors {times} times as large as stated, half of such tests would pass."
+        )
     anew = found.base_refitted
     if anew is not None and found.base_moved is not None and not found.refit and not found.as_calibrated.test.passed:
         shift, turn = found.base_moved

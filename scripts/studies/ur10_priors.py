@@ -65,7 +65,7 @@ FEW_POSES = """
 So many random poses out of the two thirds, {draws} draws each, rms over all of the last third; means over the draws.
 All placements and joint offsets are free. **None**: no prior, the machine nearest to the nominal one in the null
 space. **Stated**: 1 mm and 1 mrad, parameter scales. **Learned**: a learned width for link translations, link
-rotations and joint offsets each, or the parameter scale where the data determine too few of them.
+rotations and joint offsets each, or a usual width where the data determine too few of them.
 """
 
 PROCESS = """

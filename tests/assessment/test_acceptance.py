@@ -368,6 +368,13 @@ def test_verify_passes_and_fails(case: Path) -> None:
     assert "is within the limit, 0.1 mm." in text
     assert "The stated uncertainty explains the errors" in text
     assert text.endswith("Passed.")
+    assert "So few rows" not in text
+    few = case / "few.csv"
+    few.write_text("".join(table.read_text().splitlines(keepends=True)[:-28]))
+    # Chi-square of 6 degrees of freedom has 1 % beyond 16.81, and half beyond 5.35.
+    assert "with errors 1.8 times as large as stated, half of such tests would pass." in " ".join(
+        run("verify", out, few, "--sigma", "0.02 mm").out.split()
+    )
     bad = run("verify", out, table, "--sigma", "0.02 mm", "--limit", "0.01 mm")
     assert (bad.code, bad.out.splitlines()[-1]) == (3, "Failed.")
     assert run("verify", out, table, "--limit", "0.01 mm", "-q") == (3, "", "")
