@@ -2,8 +2,8 @@
 
 Such rows hardly tell placements and offsets from each other. Without priors they may grow far beyond what any arm has,
 with hardly a trace where rows are, and make predictions elsewhere wrong by millimetres. Priors whose widths are learned
-keep them small. But where the data determine too few parameters of a kind, such a prior is the parameter scale, which
-is an assumption, and places that are held out do not tell whether it holds. So the user is told, and decides.
+keep them small. But where the data determine too few parameters of a kind, such a prior has a usual width, which is an
+assumption, and places that are held out do not tell whether it holds. So the user is told, and decides.
 """
 
 from calib.assessment.validation import neighbourhoods, row_groups
