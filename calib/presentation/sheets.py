@@ -226,7 +226,8 @@ def rank_sentences(fit: "Fit") -> tuple[str, ...]:
         return (f"The data determine all {fit.rank} parameters.", *named)
     done = {
         "nearest": "among all equal fits, the machine nearest to the nominal one was taken",
-        "minimal": f"{counted(held, 'parameter was', 'parameters were')} held at the nominal value",
+        "minimal": f"{counted(held, 'parameter was', 'parameters were')} held at the nominal value, which "
+        "the sigmas of all others take for exact",
     }[fit.policy]
     if any(parameter.prior is not None for parameter in fit.parameters):
         done = f"where priors do not decide, {done}"

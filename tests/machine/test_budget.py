@@ -17,6 +17,7 @@ from calib.machine.grid import grid_from_residuals
 from calib.machine.of_fit import _beyond, machine_of
 from calib.machine.tool_uncertainty import residual_errors, tool_errors, tool_uncertainty
 from calib.machine.uncertainty import CAUSES, Waves, rms_by_cause
+from calib.presentation.sheets import rank_sentences
 from calib.robot.joint_terms import with_joint_terms
 from tests.support import machines, sagging
 from tests.support.machines import Array, Machine, anywhere, pose
@@ -310,6 +311,7 @@ def test_parameters_that_were_held_are_not_known() -> None:
     nearest = fitted()[0]
     minimal = calib.identify(nearest.model, nearest.measurements, null_space="minimal")
     assert minimal.held
+    assert "which the sigmas of all others take for exact. " in rank_sentences(minimal)[0]
     limits = np.tile([[-np.pi, np.pi]], (6, 1))
     assert {p.name for p in errors_by_cause(minimal, limits).parameters} == {p.name for p in nearest.parameters}
 
