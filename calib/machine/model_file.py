@@ -26,6 +26,7 @@ from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.folders import reading_folder
 from calib.foundations.json_text import NotJsonError, validated
 from calib.foundations.linear import triangle
+from calib.foundations.ranges import MOST_SETUPS, MOST_TOOLS
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import GaussianResiduals, gaussian_bytes, load_gaussian
 from calib.machine.grid import SectorGrid, grid_bytes, load_grid
@@ -326,6 +327,7 @@ def _loaded(folder: Path) -> CalibratedMachine:
     except JobError as e:
         raise OutputError(str(e)) from e
     model = _parsed(source, path)
+    _refuse_many(model, path)
     try:
         robot = load_robot(
             parse_urdf(read_bytes(urdf, RobotError, LARGEST_URDF), str(urdf)),
@@ -362,6 +364,16 @@ def _loaded(folder: Path) -> CalibratedMachine:
     return CalibratedMachine(
         equipped, deviations, base, tools, residuals, uncertainty, model.setup, others, model.tool_tips, in_urdf, placed
     )
+
+
+def _refuse_many(model: ModelFile, path: Path) -> None:
+    """Raise OutputError where there are more set-ups or tools than a calibration finds."""
+    for what, count, most in (
+        ("set-ups", 1 + len(model.setups), MOST_SETUPS),
+        ("tools", len(model.tools), MOST_TOOLS),
+    ):
+        if count > most:
+            raise OutputError(f"{path}: has {count} {what}; allowed are {most}.")
 
 
 def _refuse_other_joints(robot: Robot, joints: Sequence[JointEntry], path: Path) -> None:

@@ -168,6 +168,16 @@ def test_a_file_that_names_its_run_is_whole(folder: Path, key: str) -> None:
     assert refused(folder) == f"out/model.json: is not a model of this toolkit: {key} is missing."
 
 
+@pytest.mark.parametrize(("key", "what"), [("setups", "set-ups"), ("tools", "tools")])
+def test_no_more_set_ups_and_tools_than_a_calibration_finds(folder: Path, key: str, what: str) -> None:
+    """What is compared or drawn takes memory with the square of their number."""
+    contents = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+    contents[key] |= {f"another {k}": contents["base"] for k in range(100)}
+    (folder / "model.json").write_text(json.dumps(contents), encoding="utf-8")
+    count = len(contents[key]) + (key == "setups")
+    assert refused(folder) == f"out/model.json: has {count} {what}; allowed are 100."
+
+
 MISMATCHES: dict[str, tuple[Change, str]] = {
     "another joint": (put("swung", "joints", 0, "name"), "its joints are not those of nominal.urdf."),
     "another type": (put("prismatic", "joints", 0, "type"), "its joints are not those of nominal.urdf."),
