@@ -1,18 +1,18 @@
 """Two calibrations of one machine: what has moved by more than their joint uncertainty, and what that means at the tip.
 
-Parameters are compared in the state of the robot, six deviations of every joint and the offsets of those that move;
-what joint terms did shows at the tip. What one of the two did not see is no difference: the joint test takes the
-combinations that both have determined.
+Parameters are compared in the state of the robot: six deviations of every joint, the offsets of those that move, and
+the coefficients of joint terms. What one of the two did not see, or what stated priors decided, is no difference: the
+joint test takes the combinations that both have determined.
 """
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.chance import bound as bound_of
 from calib.foundations.chance import exceeded
@@ -25,10 +25,11 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import tool_motions
 from calib.machine.turns import turned_towards
 from calib.machine.uncertainty import Uncertainty
-from calib.robot.conditions import ordinary
+from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions, ordinary
 from calib.robot.deviation import COMPONENTS
-from calib.robot.robot import Deviations, Robot
+from calib.robot.robot import Robot
 from calib.robot.sampling import random_readings
+from calib.robot.terms import kind_of
 
 CONFIDENCE = 0.95
 # As in calib.identification.identifiability: a direction of the null space that moves an entry by less has no part in
@@ -39,14 +40,16 @@ _SAME_DIRECTION = 0.05
 # What varies by less than this share of the rest, or of a parameter scale, varies by rounding.
 _ROUNDING = 1e-9
 _SAMPLES = 500
+# In which readings are looked at, in s.
+_YEARS = 1e11
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What became of one parameter: ``old``, ``new`` and the ``sigma`` of their difference, in ``unit`` (m or rad).
+    """What became of one parameter: ``old``, ``new`` and the ``sigma`` of their difference, in ``unit``.
 
-    ``moved``: by more than chance explains at 95 %, for all parameters together. ``at_tip``: rms in m of what the
-    difference alone does to the tool.
+    ``unit``: m, rad, or that of the coefficient of a joint term. ``moved``: by more than chance explains at 95 %, for
+    all parameters together. ``at_tip``: rms in m of what the difference alone does to the tool.
     """
 
     name: str
@@ -109,30 +112,30 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
     if set(old.tools).isdisjoint(new.tools):
         olds, news = (listed(list(machine.tools)) for machine in (old, new))
         raise MeasurementError(f"the two calibrations have no tool in common: {olds}; and {news}.")
-    names, units = _entries(robot)
-    count = len(names)
-    before, after = old.known_uncertainty, new.known_uncertainty
-    free_old, free_new = (_free(u, count) for u in (before, after))
-    difference = _state(new.deviations) - _state(old.deviations)
-    apart = _along_null_spaces(old, new, count)
+    entries = _Entries.of(old, new)
+    before, after = (_Side.of(machine, entries) for machine in (old, new))
+    free_old, free_new = before.free, after.free
+    difference = after.values - before.values
+    apart = _along_null_spaces(before, after)
     # An entry that the data determine may have a small part in the null space, and the tool be decimetres off along it.
-    C = sum((u.shown[:count] @ u.shown[:count].T for u in (before, after)), apart @ apart.T)
-    known = free_old & free_new & ~_unidentifiable(before, count) & ~_unidentifiable(after, count)
-    nu = min(before.degrees_of_freedom, after.degrees_of_freedom)
+    C = sum((side.shown @ side.shown.T for side in (before, after)), apart @ apart.T)
+    known = free_old & free_new & ~before.unidentifiable & ~after.unidentifiable
+    nu = min(machine.known_uncertainty.degrees_of_freedom for machine in (old, new))
     readings = _common_readings(old, new, seed)
+    told = _common_conditions(old, new, readings, seed)
     # All parameters together shall be called moved once in twenty when none is: Bonferroni's share for each.
     tests = max(int(np.count_nonzero(known)), 1)
     bound = np.sqrt(bound_of(1.0 - (1.0 - CONFIDENCE) / tests, 1, nu))
-    by_entry = _by_entry(old, readings, count)
+    by_entry = _by_entry(before, readings, told)
     changes = []
     for k in np.flatnonzero(known):
         sigma = float(np.sqrt(C[k, k]))
         changes.append(
             Change(
-                names[k],
-                units[k],
-                float(_state(old.deviations)[k]),
-                float(_state(new.deviations)[k]),
+                entries.names[k],
+                entries.units[k],
+                float(before.values[k]),
+                float(after.values[k]),
                 sigma,
                 bool(abs(difference[k]) > bound * sigma),
                 float(by_entry[k] * abs(difference[k])),
@@ -140,12 +143,12 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
         )
     statistic, freedom, probability = None, 0, None
     if np.array_equal(free_old, free_new):
-        statistic, freedom = _together(before, after, difference, apart, free_old)
+        statistic, freedom = _together(before, after, apart)
         if freedom:
             probability = float(exceeded(statistic, freedom, nu))
     tool = next(name for name in old.tools if name in new.tools)
-    errors = _at_tip(old, new, readings, tool)
-    stated = _stated(old, readings, tool) + _stated(new, readings, tool)
+    errors = _at_tip(old, new, readings, told, tool)
+    stated = _stated(old, readings, told, tool) + _stated(new, readings, told, tool)
     return Comparison(
         tuple(changes),
         statistic,
@@ -172,73 +175,146 @@ def _joints(robot: Robot) -> tuple[tuple[str, str], ...]:
     return tuple((joint.name, joint.type) for joint in robot.chain)
 
 
-def _entries(robot: Robot) -> tuple[list[str], list[str]]:
-    """Return names and units of the robot's part of the state."""
-    names = [f"{joint.name}.{component}" for joint in robot.chain for component in COMPONENTS]
-    units = ["m" if component.startswith("t") else "rad" for _ in robot.chain for component in COMPONENTS]
-    for i in robot.moving:
-        names.append(f"{robot.chain[i].name}.offset")
-        units.append("m" if robot.chain[i].type == "prismatic" else "rad")
-    return names, units
+class _Entries(NamedTuple):
+    """What of the state of two robots is compared: names, units, and the parameter scale of each.
+
+    ``terms``: names of the joint terms of either, whose coefficients are the last entries.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    scale: Array
+    terms: tuple[str, ...]
+
+    @classmethod
+    def of(cls, old: CalibratedMachine, new: CalibratedMachine) -> "_Entries":
+        robot = old.robot
+        names = [f"{joint.name}.{component}" for joint in robot.chain for component in COMPONENTS]
+        units = ["m" if component.startswith("t") else "rad" for _ in robot.chain for component in COMPONENTS]
+        for i in robot.moving:
+            names.append(f"{robot.chain[i].name}.offset")
+            units.append("m" if robot.chain[i].type == "prismatic" else "rad")
+        dimensions = {reading.name: reading.dimension for reading in robot.readings}
+        terms = {term.name: term for machine in (old, new) for term in machine.robot.terms}
+        coefficients = [
+            kind_of(term).coefficient(term, dimensions.get(term.reading, "angle")) for term in terms.values()
+        ]
+        scale = np.append(np.full(len(names), DEFAULT_SIGMA), [of_term.typical_size for of_term in coefficients])
+        units.extend(of_term.unit for of_term in coefficients)
+        return cls((*names, *terms), tuple(units), scale, tuple(terms))
 
 
-def _state(deviations: Deviations) -> Array:
-    return np.concatenate([deviations.placements.ravel(), deviations.offsets])
+class _Side(NamedTuple):
+    """One of two machines, in the n entries that are compared and, where it says so, in its whole state as well.
+
+    ``rows`` (n,): where the entries are in the state; of a joint term that the machine does not have, behind its end.
+    ``shown`` (n, k): as :attr:`Uncertainty.shown`. ``unseen`` (m + 1, k): of the whole state and of nothing behind it,
+    the directions that the data do not determine, be they nobody's or a stated prior's.
+    """
+
+    machine: CalibratedMachine
+    entries: _Entries
+    rows: IntArray
+    values: Array
+    shown: Array
+    unseen: Array
+
+    @classmethod
+    def of(cls, machine: CalibratedMachine, entries: _Entries) -> "_Side":
+        layout, known = machine.layout, machine.known_uncertainty
+        own = [term.name for term in machine.robot.terms]
+        at = [layout.terms + own.index(name) if name in own else layout.size for name in entries.terms]
+        rows = np.array([*range(layout.terms), *at], dtype=np.intp)
+        state = np.zeros(layout.size + 1)
+        of_robot = machine.deviations
+        state[: layout.base] = np.concatenate([of_robot.placements.ravel(), of_robot.offsets, of_robot.terms])
+        scale = np.full(layout.size + 1, DEFAULT_SIGMA)
+        scale[rows] = entries.scale
+        unseen = _unseen(known, scale[:-1, None])
+        return cls(machine, entries, rows, state[rows], _ended(known.shown)[rows], _ended(unseen))
+
+    @property
+    def free(self) -> BoolArray:
+        """Which entries the calibration has moved."""
+        of_null = self.machine.known_uncertainty
+        whole = np.hstack([_ended(of_null.factor), _ended(of_null.null_basis)])[self.rows]
+        return np.asarray(np.linalg.norm(whole, axis=1) > _ROUNDING * self.entries.scale)
+
+    @property
+    def unidentifiable(self) -> BoolArray:
+        """Which entries have a part in what the data do not determine."""
+        return np.asarray(np.linalg.norm(self.unseen[self.rows], axis=1) > _MOVED * self.entries.scale)
 
 
-def _free(u: Uncertainty, count: int) -> BoolArray:
-    size = np.hypot(np.linalg.norm(u.shown[:count], axis=1), np.linalg.norm(u.null_basis[:count], axis=1))
-    return np.asarray(size > _ROUNDING * DEFAULT_SIGMA)
+def _ended(columns: Array) -> Array:
+    """Return columns (n, k) of a state, and behind them a row of zeros."""
+    return np.vstack([columns, np.zeros((1, columns.shape[1]))])
 
 
-def _unidentifiable(u: Uncertainty, count: int) -> BoolArray:
-    return np.asarray(np.linalg.norm(u.null_basis[:count], axis=1) > _MOVED * DEFAULT_SIGMA)
+def _unseen(known: Uncertainty, scale: Array) -> Array:
+    """Return the null space (n, k), and the directions in which a stated prior decides more than the data.
+
+    There the estimates of two sessions agree because both stay near what was stated, and their noise is next to none.
+    ``scale`` (n, 1): parameter scales, by which entries are compared.
+    """
+    instrument, parameters, _ = known.causes
+    by_priors = known.factor[:, instrument : instrument + parameters] / scale
+    null = known.null_basis / scale
+    inside, values, _ = svd(null, full_matrices=False)
+    inside = inside[:, values > _ROUNDING * values.max(initial=0.0)]
+    directions, sizes, _ = svd(by_priors - inside @ (inside.T @ by_priors), full_matrices=False)
+    decided = directions[:, sizes > np.linalg.norm(directions.T @ (known.shown / scale), axis=1)]
+    return np.hstack([known.null_basis, decided * scale])
 
 
-def _along_null_spaces(old: CalibratedMachine, new: CalibratedMachine, count: int) -> Array:
-    """Return by how much (count, k) the robots may differ along the null spaces though nothing has moved.
+def _along_null_spaces(old: _Side, new: _Side) -> Array:
+    """Return by how much (n, k) the robots may differ along the null spaces though nothing has moved.
 
     As far as the common tools do: values of what is not seen are those that somebody has stated, or chance. And as far
     as these tools may have changed unseen, if they were mounted anew: by what is seen of that. Bases may have moved,
     and tell nothing.
     """
-    common = [name for name in old.tools if name in new.tools]
-    changes = np.array([new.tools[name][:3, 3] - old.tools[name][:3, 3] for name in common])
-    turns = [rigid.log3(old.tools[name][:3, :3].T @ new.tools[name][:3, :3]) for name in common]
+    count, tools_old, tools_new = len(old.values), old.machine.tools, new.machine.tools
+    common = [name for name in tools_old if name in tools_new]
+    changes = np.array([tools_new[name][:3, 3] - tools_old[name][:3, 3] for name in common])
+    turns = [rigid.log3(tools_old[name][:3, :3].T @ tools_new[name][:3, :3]) for name in common]
     # A robot shows what of it is in a direction; of what is not, the tools tell.
-    weight = np.append(np.full(count, 1.0 / _SAME_DIRECTION), np.ones(6 * len(common)))
+    weight = np.append(DEFAULT_SIGMA / old.entries.scale / _SAME_DIRECTION, np.ones(6 * len(common)))
     d = np.zeros((len(weight), 1 + 3 * len(common)))
-    d[:, 0] = np.append(_state(new.deviations) - _state(old.deviations), np.column_stack([changes, turns]))
+    d[:, 0] = np.append(new.values - old.values, np.column_stack([changes, turns]))
     for t, size in enumerate(np.linalg.norm(changes, axis=1)):
         d[count + 6 * t :, 1 + 3 * t :][:3, :3] = size * np.eye(3)
     found = []
-    for machine in (old, new):
-        tools = [machine.layout.tools + 6 * list(machine.tools).index(name) + np.arange(6) for name in common]
-        basis = machine.known_uncertainty.null_basis[np.concatenate([np.arange(count), *tools])]
+    for side in (old, new):
+        layout, names = side.machine.layout, list(side.machine.tools)
+        tools = [layout.tools + 6 * names.index(name) + np.arange(6) for name in common]
+        basis = side.unseen[np.concatenate([side.rows, *tools])]
         along = np.linalg.lstsq(weight[:, None] * basis, weight[:, None] * d, rcond=_ROUNDING)[0]
         found.append(basis[:count] @ along)
     return np.hstack(found)
 
 
-def _together(old: Uncertainty, new: Uncertainty, d: Array, apart: Array, free: BoolArray) -> tuple[float, int]:
+def _together(old: _Side, new: _Side, apart: Array) -> tuple[float, int]:
     """Return the statistic of the difference in the combinations that both have determined, and their number.
 
     ``apart`` (n, k): by how much the two may differ along their null spaces, which is no difference.
     One parameter may move several entries, as DH parameters do: no more combinations vary than there are parameters.
     """
-    count = len(free)
-    null_basis = np.hstack([old.null_basis[:count], new.null_basis[:count]])[free] / DEFAULT_SIGMA
+    free = old.free
+    scale = old.entries.scale[free][:, None]
+    null_basis = np.hstack([side.unseen[side.rows] for side in (old, new)])[free] / scale
     U, values, _ = svd(null_basis, full_matrices=True)
     size = int(np.count_nonzero(values > _SAME_DIRECTION * values.max(initial=0.0)))
     Q = U[:, size:]
-    factors = [Q.T @ u.shown[:count][free] for u in (old, new)]
-    both = np.hstack([*factors, Q.T @ apart[free]])
+    factors = [Q.T @ (side.shown[free] / scale) for side in (old, new)]
+    both = np.hstack([*factors, Q.T @ (apart[free] / scale)])
     size = np.linalg.norm(both, axis=1)
     size[size == 0.0] = 1.0
     # Of both together a few more seem to vary: what a parameter moves differs a little from one machine to the other.
     varying = max(np.linalg.matrix_rank(factor / size[:, None], rtol=_ROUNDING) for factor in factors)
     V, spread, _ = svd(both / size[:, None], full_matrices=False)
-    z = V[:, :varying].T @ (Q.T @ d[free] / size) / spread[:varying]
+    d = (new.values - old.values)[free] / scale[:, 0]
+    z = V[:, :varying].T @ (Q.T @ d / size) / spread[:varying]
     return float(z @ z), int(varying)
 
 
@@ -261,9 +337,24 @@ def _common_readings(old: CalibratedMachine, new: CalibratedMachine, seed: int) 
     return random_readings(old.robot, _SAMPLES, limits, machines, determinant=nearest, seed=seed)
 
 
-def _by_entry(machine: CalibratedMachine, readings: Array, count: int) -> Array:
-    """Return the rms motion of the tool for each entry of the robot's state, in m per m or rad."""
-    J = tool_motions(machine, np.eye(machine.layout.size, count), readings, _first(machine))
+def _common_conditions(old: CalibratedMachine, new: CalibratedMachine, readings: Array, seed: int) -> Conditions:
+    """Return conditions of readings (N, nr) in which terms that need some show: any side, temperatures of both."""
+    rng, usual = np.random.default_rng(seed), ordinary(readings)
+    ranges = [m.known_uncertainty.conditions.get("temperature") for m in (old, new)]
+    known = np.array([one for one in ranges if one is not None] or [2 * (REFERENCE_TEMPERATURE,)])
+    low, high = known[:, 0].max(), known[:, 1].min()
+    if low > high:
+        low, high = known[-1]
+    sides, temperature = rng.choice([-1.0, 1.0], readings.shape), rng.uniform(low, high, len(readings))
+    # So far apart in time that what follows late has followed.
+    return replace(usual, approach=sides, temperature=temperature).in_time(np.linspace(0.0, _YEARS, len(readings)))
+
+
+def _by_entry(side: _Side, readings: Array, told: Conditions) -> Array:
+    """Return the rms motion of the tool for each entry of the robot's state, in m per unit of it."""
+    machine = side.machine
+    columns = np.eye(machine.layout.size + 1)[:-1, side.rows]
+    J = tool_motions(machine, columns, readings, _first(machine), conditions=told)
     return np.asarray(np.sqrt(np.mean(np.sum(J[:, :3] ** 2, axis=1), axis=0)))
 
 
@@ -271,22 +362,22 @@ def _first(machine: CalibratedMachine) -> str:
     return next(iter(machine.tools))
 
 
-def _stated(machine: CalibratedMachine, readings: Array, tool: str) -> float:
+def _stated(machine: CalibratedMachine, readings: Array, told: Conditions, tool: str) -> float:
     """Return the mean variance of the tool's position that is left when base and tool are fitted, in m^2."""
     layout, number = machine.layout, list(machine.tools).index(tool)
     of_robot = machine.known_uncertainty.shown.copy()
     of_robot[layout.base :] = 0.0
     fitted = np.eye(len(of_robot))[:, [*range(layout.base, layout.tools), *(layout.tools + 6 * number + np.arange(3))]]
-    J = tool_motions(machine, np.hstack([of_robot, fitted]), readings, tool)
+    J = tool_motions(machine, np.hstack([of_robot, fitted]), readings, tool, conditions=told)
     rows = J[:, :3].reshape(-1, J.shape[2])
     moved, frames = rows[:, : of_robot.shape[1]], rows[:, of_robot.shape[1] :]
     rest = moved - frames @ np.linalg.lstsq(frames, moved, rcond=None)[0]
     return float(np.sum(rest**2)) / len(readings)
 
 
-def _at_tip(old: CalibratedMachine, new: CalibratedMachine, readings: Array, tool: str) -> Array:
+def _at_tip(old: CalibratedMachine, new: CalibratedMachine, readings: Array, told: Conditions, tool: str) -> Array:
     """Return by how much (N,) the tool differs, base and tool of the old machine fitted to the new one."""
-    tips = [machine.tips(readings, ordinary(readings)) for machine in (old, new)]
+    tips = [machine.tips(readings, told) for machine in (old, new)]
     target = (tips[1] @ new.tools[tool])[:, :3, 3]
     guess = old.tools[tool][None]
     rows = TipObservations(

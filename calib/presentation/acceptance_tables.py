@@ -8,10 +8,10 @@ from calib.assessment.acceptance import SIGNIFICANCE, ChiSquare, Verification
 from calib.assessment.drift import Comparison
 from calib.assessment.iso9283 import IsoFigure
 from calib.compensation.cell import CalibratedCell
-from calib.foundations.units import DEG, DISPLAY, MM
+from calib.foundations.units import DEG, MM
 from calib.machine.place import undetermined_in_words
 from calib.presentation.report.document import Row, Sheet
-from calib.presentation.sheets import figures_in, signed
+from calib.presentation.sheets import SHOWN, figures_in, signed
 
 # So many times larger than stated are errors of which a test of few rows finds half, that it is said.
 _SURELY = 1.5
@@ -98,7 +98,7 @@ def change_sheet(found: Comparison) -> Sheet:
     """Return the parameters of two calibrations, in mm and degrees, those that moved first."""
     rows = []
     for change in sorted(found.changes, key=lambda c: (not c.moved, -abs(c.new - c.old) / c.sigma)):
-        factor, unit = DISPLAY[change.unit]
+        factor, unit = SHOWN[change.unit]
         values = (change.old, change.new, change.new - change.old, change.sigma)
         shown = (signed(value * factor, 4) for value in values[:3])
         told = f"{change.sigma * factor:.4f}", f"{change.at_tip / MM:.3f}", unit, "yes" if change.moved else "no"

@@ -315,6 +315,60 @@ def test_heights_of_a_tool_that_is_not_seen_are_no_difference(seed: int) -> None
     assert compare(before, found(with_zero(true, "elbow", 1e-3), 0.05)).moved
 
 
+def with_terms(true: Machine, seed: int, *, backlash: float, gain: float) -> calib.CalibratedMachine:
+    """A calibration of an arm whose elbow has half a gap (rad) and whose lift has a gain."""
+    rng, robot = np.random.default_rng(seed), machines.load(*UR10)
+    readings = true.arm.draw(rng, 80)
+    side = rng.choice([-1.0, 1.0], 80)
+    turned = readings.copy()
+    turned[:, 2] += backlash * side
+    turned[:, 1] *= 1.0 + gain
+    places = true.see(turned)
+    places[:, :3, 3] += rng.normal(scale=SIGMA, size=(80, 3))
+    columns = machines.table(true.arm, readings, places, "position")
+    columns["direction_elbow_joint"] = ["+" if one > 0.0 else "-" for one in side]
+    data = calib.read_measurements(columns, robot, sigma=SIGMA)
+    terms = {"backlash": ["elbow_joint"], "gain": ["shoulder_lift_joint"]}
+    return machine_of(calib.identify(calib.error_model(robot, offsets="all", placements="all", terms=terms), data))
+
+
+def test_joint_terms_that_changed_have_moved() -> None:
+    """A gap that grew does not show at a tip that is reached from neither side."""
+    _, true, _ = machine()
+    before = with_terms(true, 1, backlash=-1e-4, gain=2e-4)
+    same = compare(before, with_terms(true, 2, backlash=-1e-4, gain=2e-4))
+    assert not same.moved
+    assert {"elbow_joint.backlash", "shoulder_lift_joint.gain"} <= {change.name for change in same.changes}
+    for name, of in (
+        ("elbow_joint.backlash", {"backlash": -5e-4, "gain": 2e-4}),
+        ("shoulder_lift_joint.gain", {"backlash": -1e-4, "gain": 8e-4}),
+    ):
+        found = compare(before, with_terms(true, 3, **of))
+        assert [change.name for change in found.changes if change.moved] == [name]
+        (moved,) = (change for change in found.changes if change.moved)
+        assert moved.at_tip > 1e-4
+        assert found.tip_rms > 5 * found.stated
+
+
+def test_what_stated_priors_decide_has_not_moved() -> None:
+    """Both sessions keep what they do not see where it was stated: that they agree there to a hair is no precision."""
+    robot, true, _ = machine()
+    model = calib.error_model(robot, offsets="all", placements="all", priors=calib.Priors(length=1e-3, angle=1e-3))
+
+    def found(one: Machine, seed: int) -> calib.CalibratedMachine:
+        elsewhere = replace(one, base=anywhere(np.random.default_rng(seed)))
+        return machine_of(calib.identify(model, seen(elsewhere, 60, seed)))
+
+    all_same = [compare(found(true, seed), found(true, seed + 1)) for seed in (20, 22, 24)]
+    ratios = [same.statistic / same.degrees_of_freedom for same in all_same if same.statistic is not None]
+    assert len(ratios) == 3
+    assert 0.5 < np.mean(ratios) < 1.7
+    assert sum(same.moved for same in all_same) <= 1  # once in ten by chance
+    assert compare(found(true, 20), found(with_zero(true, "elbow_joint", 1e-3), 21)).moved
+    # Who states priors and who does not have freed the same.
+    assert compare(machine_of(calibrated(true, 1)), found(true, 20)).statistic is not None
+
+
 def test_calibrations_that_free_different_parameters_are_compared_at_the_tip() -> None:
     robot, true, _ = machine()
     some = calib.error_model(robot, offsets=["elbow_joint"])
