@@ -26,7 +26,9 @@ from calib.measurement.measurements import ONLY_TOOL
 from calib.robot.conditions import Conditions, ordinary
 from calib.robot.sampling import random_readings
 
-_POSES = 200
+# Tools of a link; poses of a tool, and of all: what motions of each in its own axes take grows with the cube of how
+# many they are.
+_ENOUGH_TOOLS, _POSES, _MOST_POSES = 10, 200, 2000
 # What a null direction does to links, by rms and in one parameter scale, is more than rounding from here on, in m.
 _MOVES = 1e-7
 # Rigid motions that points do not show, as a turn about the line on which they lie: by share of the best seen one.
@@ -133,12 +135,16 @@ def _followed(machine: CalibratedMachine, of: Pivoted) -> tuple[Array, Array]:
 def _links(machine: CalibratedMachine) -> Moved:
     """Return what the uncertainty does to all links that carry tools, over the identified readings."""
     known = machine.known_uncertainty
+    links = [machine.tool_tips.get(tool) for tool in machine.tools]
+    # Those of one link move as one body: more of them tell nothing new.
+    tools = [tool for k, tool in enumerate(machine.tools) if links[:k].count(links[k]) < _ENOUGH_TOOLS]
+    poses = min(_POSES, _MOST_POSES // len(tools))
     readings = random_readings(
-        machine.robot, _POSES, known.identified, (machine.deviations,), determinant=known.closure_determinant
+        machine.robot, poses, known.identified, (machine.deviations,), determinant=known.closure_determinant
     )
     told = ordinary(readings)
-    parts = [_at(machine, tool, readings, told, tool_pose=False) for tool in machine.tools]
-    beside = np.zeros((len(parts), _POSES, 6, len(parts), 6))
+    parts = [_at(machine, tool, readings, told, tool_pose=False) for tool in tools]
+    beside = np.zeros((len(parts), poses, 6, len(parts), 6))
     for k, part in enumerate(parts):
         beside[k, :, :, k] = part.beside
     return Moved(
@@ -199,7 +205,7 @@ def rigid_parts(bodies: Sequence[Moved], origin: Array) -> list[Place]:
     _, alike, Zt = svd(Q.T @ B)
     same = np.zeros(B.shape[1], dtype=np.bool_)
     same[: len(alike)] = alike > np.sqrt(1.0 - SAME**2)
-    B = _basis(B @ Zt[~same].T, _SEEN)
+    B = B @ Zt[~same].T
     factor = to_twists @ np.linalg.lstsq(Q - B @ (B.T @ Q), E, rcond=None)[0]
     W = _basis(np.hstack([_basis(N, _MOVES), B]), _SEEN)
     _, apart, Zt = svd(Q - W @ (W.T @ Q), full_matrices=False)

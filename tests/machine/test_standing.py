@@ -1,5 +1,6 @@
 """How sure it is where a machine stands: against differences, and against true machines before one tracker."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -109,6 +110,22 @@ def test_factor_is_what_differences_say(name: tuple[str, str]) -> None:
         expected = np.linalg.lstsq(rows, motion(known.factor[:, k]), rcond=1e-3)[0][:6]
         size = np.abs(place.factor).max()
         np.testing.assert_allclose(across @ place.factor[:, k], across @ expected, atol=2e-3 * size)
+
+
+def test_tools_of_one_link_are_one_body() -> None:
+    """A motion of each in its own axes is fitted: for every one of 40 tools, that took 800 MB."""
+    machine, _ = calibrated(UR10, np.random.default_rng(3))
+    known, more = machine.known_uncertainty, 39
+    tools = dict(machine.tools) | {f"mark {k}": machines.pose((0.05, 0.002 * k, 0.0)) for k in range(more)}
+    parts = (known.factor, known.null_basis)
+    factor, null_basis = (np.vstack([part, np.zeros((6 * more, part.shape[1]))]) for part in parts)
+    many = replace(machine, tools=tools, uncertainty=replace(known, factor=factor, null_basis=null_basis))
+    tracemalloc.start()
+    place = place_of(many)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 200e6
+    np.testing.assert_allclose(place.sigmas, place_of(machine).sigmas, rtol=0.05)
 
 
 def test_true_places_are_inside() -> None:
