@@ -141,6 +141,8 @@ COUNTS: Mapping[str, int] = MappingProxyType(
 MOST_SETUPS = COUNTS["setups"]
 MOST_TOOLS = COUNTS["tools"]
 MOST_TARGETS = 20_000
+# Joint terms of a machine: all harmonics of 200 joints in 20 orders.
+MOST_TERMS = 8000
 # Of names and globs, wherever a list of them may stand.
 MOST_NAMES = 1000
 

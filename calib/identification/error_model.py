@@ -14,7 +14,7 @@ from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, RobotError
-from calib.foundations.ranges import refuse_beyond
+from calib.foundations.ranges import MOST_TERMS, refuse_beyond
 from calib.foundations.selection import Selection, listed_names, select
 from calib.foundations.words import refuse_other
 from calib.identification.machine import POSE, Frames, Layout
@@ -343,8 +343,11 @@ def _refuse_priors(priors: Priors, robot: Robot) -> None:
 def with_terms(model: ErrorModel, terms: Sequence[JointTerm]) -> ErrorModel:
     """Return the model with these joint terms, all of them free, in the place of its own.
 
-    Raises JobError for a link that gives way where DH parameters are free: their frames are not at its ends.
+    Raises JobError for a link that gives way where DH parameters are free: their frames are not at its ends; and for
+    very many terms.
     """
+    if len(terms) > MOST_TERMS:
+        raise JobError(f"the model has {len(terms)} joint terms; allowed are {MOST_TERMS}.")
     if model.dh is not None and (of_link := next((term for term in terms if kind_of(term).of_link), None)):
         raise JobError(
             f"{kind_of(of_link).key}: links bend and expand between joints of the URDF; free placements instead of dh."

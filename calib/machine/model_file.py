@@ -26,7 +26,7 @@ from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.folders import reading_folder
 from calib.foundations.json_text import NotJsonError, validated
 from calib.foundations.linear import triangle
-from calib.foundations.ranges import MOST_SETUPS, MOST_TOOLS
+from calib.foundations.ranges import MOST_SETUPS, MOST_TERMS, MOST_TOOLS
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import GaussianResiduals, gaussian_bytes, load_gaussian
 from calib.machine.grid import SectorGrid, grid_bytes, load_grid
@@ -367,10 +367,11 @@ def _loaded(folder: Path) -> CalibratedMachine:
 
 
 def _refuse_many(model: ModelFile, path: Path) -> None:
-    """Raise OutputError where there are more set-ups or tools than a calibration finds."""
+    """Raise OutputError where there are more set-ups, tools or joint terms than a calibration finds."""
     for what, count, most in (
         ("set-ups", 1 + len(model.setups), MOST_SETUPS),
         ("tools", len(model.tools), MOST_TOOLS),
+        ("joint terms", len(model.terms), MOST_TERMS),
     ):
         if count > most:
             raise OutputError(f"{path}: has {count} {what}; allowed are {most}.")

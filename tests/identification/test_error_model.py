@@ -7,6 +7,8 @@ import pytest
 
 import calib
 from calib.foundations.errors import JobError
+from calib.identification.error_model import with_terms
+from calib.robot.terms import JointTerm
 from tests.support import machines
 from tests.support.machines import urdf
 
@@ -150,3 +152,10 @@ def test_a_joint_may_not_be_called_like_a_frame() -> None:
         JobError, match=r"^the parameter name 'base\.rx' means two things: a joint may not be called base"
     ):
         model.parameters()
+
+
+def test_very_many_joint_terms_are_refused() -> None:
+    """A machine of them is not read back: what is told of it takes memory for every term and pose."""
+    many = [JointTerm("c", "sin", order) for order in range(1, 8002)]
+    with pytest.raises(JobError, match=r"^the model has 8001 joint terms; allowed are 8000\.$"):
+        with_terms(machines.model(GANTRY), many)

@@ -178,6 +178,15 @@ def test_no_more_set_ups_and_tools_than_a_calibration_finds(folder: Path, key: s
     assert refused(folder) == f"out/model.json: has {count} {what}; allowed are 100."
 
 
+def test_no_more_joint_terms_than_a_calibration_finds(folder: Path) -> None:
+    contents = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+    reading = contents["joints"][0]["name"]
+    term = {"reading": reading, "kind": "sin", "order": 1, "coefficient": 0.0}
+    contents["terms"] = [term] * 8001
+    (folder / "model.json").write_text(json.dumps(contents), encoding="utf-8")
+    assert refused(folder) == "out/model.json: has 8001 joint terms; allowed are 8000."
+
+
 MISMATCHES: dict[str, tuple[Change, str]] = {
     "another joint": (put("swung", "joints", 0, "name"), "its joints are not those of nominal.urdf."),
     "another type": (put("prismatic", "joints", 0, "type"), "its joints are not those of nominal.urdf."),
