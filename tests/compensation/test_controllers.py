@@ -169,6 +169,14 @@ def test_offsets_are_added_to_readings(name: str) -> None:
     assert f"without any correction {found.before * 1e3:.4f} mm" in found.text
 
 
+@pytest.mark.parametrize("odd", ["\u2028", "\x85", "&#10;", "# ", "&quot;"])
+def test_offsets_of_joints_with_odd_names(odd: str) -> None:
+    """Characters that end lines in Python, and not in files, cut the name in two, and the file was refused."""
+    text = machines.INLINE["scara"].replace('"shoulder"', f'"{odd}shoulder"')
+    machine = model(machines.load(text, "tip"))
+    assert list(read_offsets(export_offsets(machine).text)) == [reading.name for reading in machine.robot.readings]
+
+
 @pytest.mark.parametrize("source", [UR10, machines.INLINE["scara"], machines.INLINE["gantry"]])
 def test_the_dh_table_is_the_calibrated_arm(source: str) -> None:
     machine = model(machines.load(source, "tool0" if source == UR10 else "tip"))

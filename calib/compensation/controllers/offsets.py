@@ -6,8 +6,10 @@ the joint the other way round, the number needs that sign or ratio. Base and too
 """
 
 import csv
+import io
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import dropwhile
 
 import numpy as np
 
@@ -60,11 +62,12 @@ def export_offsets(model: CalibratedMachine) -> Export:
 
 def read_offsets(table: str) -> Mapping[str, float]:
     """Return the offsets (rad or m) by joint of a table as :func:`export_offsets` writes it."""
-    lines = [line for line in table.splitlines() if not line.startswith("# ")]
+    # Not by lines: a name may have characters that end one.
+    rows = dropwhile(lambda row: row[0].startswith("# "), csv.reader(io.StringIO(table, newline="")))
     units = (UNITS["deg"].factor, UNITS["mm"].factor)
     return {
         name: next(float(cell) * unit for cell, unit in zip(cells, units, strict=True) if cell)
-        for name, *cells in list(csv.reader(lines))[1:]
+        for name, *cells in list(rows)[1:]
     }
 
 
