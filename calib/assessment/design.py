@@ -14,8 +14,9 @@ P. Box, N. R. Draper, *A basis for the selection of a response surface design*, 
 
 The design begins with the poses that bring most one after another; then every pose in turn is exchanged for the best of
 all candidates, until none improves (V. V. Fedorov, *Theory of Optimal Experiments*, 1972). A pose changes M by rank m,
-so that all candidates are judged by matrices of m rows. Of very many candidates only those that bring most to a design
-that knows all directions are looked at further.
+so that all candidates are judged by matrices of m rows. Of very many candidates only some are looked at further: those
+that bring most to a design that knows all directions, and others of all kinds, as what brings most by itself bends a
+model that leaves something out. Large designs end before all exchanges are tried.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,6 +39,10 @@ _IMPROVES = 1e-9
 _NOTHING_KNOWN = 1e-9
 # Of how many numbers in their matrices of m rows candidates are looked at again and again: 5000 positions, 1250 poses.
 _MOST_NUMBERS = 45_000
+# The share of these that are those that bring most; the others are taken evenly from the rest.
+_MOST_TELLING = 0.5
+# How many such numbers the exchanges of a design look at: some seconds. Designs of 150 poses or fewer hardly need more.
+_MOST_LOOKED_AT = 45_000_000
 # A pose that changes what is known in some direction by more than this factor is reckoned with from scratch.
 _KEEPS_DIGITS = 1e3
 
@@ -202,7 +207,7 @@ def sequence(s: Space, count: int) -> tuple[int, ...]:
     known = -(-2 * r // m)
     while len(gains.chosen) < count:
         if len(gains.chosen) == known:
-            gains = gains.narrowed(max(count, _MOST_NUMBERS // m**2))
+            gains = gains.narrowed(max(2 * count, _MOST_NUMBERS // m**2))
         of_each = gains.of_each()
         of_each[gains.places] = -np.inf
         gains = gains.plus(int(gains.kept[np.argmax(of_each)]), len(gains.chosen))
@@ -221,9 +226,11 @@ def random_sets(s: Space, count: int, designs: int, seed: int = 0) -> list[tuple
 
 
 def _exchanged(s: Space, begin: Sequence[int]) -> Design:
-    gains = _Gains.of(s, tuple(begin)).narrowed(max(2 * len(begin), _MOST_NUMBERS // s.A.shape[1] ** 2))
+    numbers = s.A.shape[1] ** 2
+    gains = _Gains.of(s, tuple(begin)).narrowed(max(2 * len(begin), _MOST_NUMBERS // numbers))
+    most = min(_MOST_PASSES * len(begin), _MOST_LOOKED_AT // (numbers * len(gains.kept)))
     exchanges, unchanged = 0, 0
-    for step in range(_MOST_PASSES * len(begin)):
+    for step in range(most):
         chosen = gains.chosen
         if unchanged == len(chosen):
             return Design(tuple(sorted(chosen)), value_of(s, chosen), exchanges, True)
@@ -308,12 +315,15 @@ class _Gains:
         return np.searchsorted(self.kept, self.chosen)
 
     def narrowed(self, most: int) -> "_Gains":
-        """Return the gains of those candidates alone that bring most, with those that are chosen ``most`` of them."""
+        """Return the gains of ``most`` candidates: the chosen, those that bring most, and of the others evenly."""
         if len(self.kept) <= most:
             return self
         of_each = self.of_each()
         of_each[self.places] = np.inf
-        best = np.sort(np.argsort(-of_each, kind="stable")[:most])
+        order = np.argsort(-of_each, kind="stable")
+        first = max(len(self.chosen), int(_MOST_TELLING * most))
+        others = np.linspace(first, len(order), most - first, endpoint=False, dtype=np.intp)
+        best = np.sort(order[np.concatenate([np.arange(first), others])])
         rows = self.rows.reshape(len(self.rows), -1, len(self.kept))[..., best]
         return replace(
             self,

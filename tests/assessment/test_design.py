@@ -246,5 +246,38 @@ def test_of_very_many_candidates_those_that_bring_little_are_not_looked_at_again
     assert looked_at.count(200) <= 7
     assert set(looked_at) == {50, 200}
     chance = float(np.median(random_values(s, count, 50)))
-    # Both end where no exchange improves them, which is not in one place.
-    assert abs(some.value - every.value) < 0.1 * abs(chance - every.value)
+    # Both end where no exchange improves them, which is not in one place; a quarter has less to be found in it.
+    assert abs(some.value - every.value) < 0.3 * abs(chance - every.value)
+
+
+def test_large_designs_of_very_many_candidates_are_better_than_chance(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What brings most by itself bends a model that leaves something out: of it alone they were worse than chance.
+
+    Of 20 000 poses of an IRB2400, 2000 chosen ones left three times the error of random ones.
+    """
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1.0, 1.0, (1000, 3))
+    # A plane is fitted to what bends: the farther out, the more is told of its slope, and the wrong.
+    plane = np.column_stack([np.ones(1000), x])[:, None]
+    candidates = DesignRows(100.0 * plane, 100.0 * (x**2)[:, None])
+    s = space(candidates, "I", DesignRows(plane, (x**2)[:, None]))
+    chance = float(np.median(random_values(s, 80, 50)))
+    monkeypatch.setattr(design, "_MOST_NUMBERS", 100)
+    for value in (choose(s, 80).value, value_of(s, sequence(s, 80))):
+        assert value < chance
+
+
+def test_large_designs_end_before_all_exchanges_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Designs of 2000 of 20 000 candidates were exchanged for minutes."""
+    candidates, working = small(1, n=200)
+    s = space(candidates, "I", working)
+    whole = choose(s, 12)
+    assert whole.converged
+    looked_at: list[int] = []
+    of_each = design._Gains.of_each
+    monkeypatch.setattr(design._Gains, "of_each", lambda own: looked_at.append(len(own.kept)) or of_each(own))
+    monkeypatch.setattr(design, "_MOST_LOOKED_AT", 5 * 200 * 2**2)
+    some = choose(s, 12, order=sequence(s, 12))
+    assert len(looked_at) == 12 + 5
+    assert not some.converged
+    assert whole.value <= some.value <= value_of(s, sequence(s, 12))
