@@ -5,6 +5,7 @@ the coefficients of joint terms. What one of the two did not see, or what stated
 joint test takes the combinations that both have determined.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
@@ -67,9 +68,9 @@ class Comparison:
 
     ``changes``: of parameters that both have determined by themselves. ``statistic`` follows chi-square (F, with
     estimated noise) with ``degrees_of_freedom``; ``probability`` of a larger one if nothing has moved; both None where
-    the two free different parameters. ``tip_rms``, ``tip_max``: in m, of the tool over the poses that both were
-    identified in, the base and the tool of the one fitted to the other; ``stated``: rms of what both uncertainties
-    explain of that.
+    the two free different parameters. ``tip_rms``, ``tip_max``: in m, of all tools that both have, over the poses
+    that both were identified in, base and tools of the one fitted to the other; ``stated``: rms of what both
+    uncertainties explain of that.
     """
 
     __repr__ = brief
@@ -126,7 +127,8 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
     # All parameters together shall be called moved once in twenty when none is: Bonferroni's share for each.
     tests = max(int(np.count_nonzero(known)), 1)
     bound = np.sqrt(bound_of(1.0 - (1.0 - CONFIDENCE) / tests, 1, nu))
-    by_entry = _by_entry(before, readings, told)
+    tools = [name for name in old.tools if name in new.tools]
+    by_entry = _by_entry(before, tools, readings, told)
     changes = []
     for k in np.flatnonzero(known):
         sigma = float(np.sqrt(C[k, k]))
@@ -146,9 +148,8 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
         statistic, freedom = _together(before, after, apart)
         if freedom:
             probability = float(exceeded(statistic, freedom, nu))
-    tool = next(name for name in old.tools if name in new.tools)
-    errors = _at_tip(old, new, readings, told, tool)
-    stated = _stated(old, readings, told, tool) + _stated(new, readings, told, tool)
+    errors = _at_tip(old, new, tools, readings, told)
+    stated = _stated(old, tools, readings, told) + _stated(new, tools, readings, told)
     return Comparison(
         tuple(changes),
         statistic,
@@ -350,39 +351,45 @@ def _common_conditions(old: CalibratedMachine, new: CalibratedMachine, readings:
     return replace(usual, approach=sides, temperature=temperature).in_time(np.linspace(0.0, _YEARS, len(readings)))
 
 
-def _by_entry(side: _Side, readings: Array, told: Conditions) -> Array:
-    """Return the rms motion of the tool for each entry of the robot's state, in m per unit of it."""
+def _by_entry(side: _Side, tools: Sequence[str], readings: Array, told: Conditions) -> Array:
+    """Return the rms motion of the tool for each entry of the robot's state, in m per unit of it.
+
+    Of several tools, of the one that it moves most.
+    """
     machine = side.machine
     columns = np.eye(machine.layout.size + 1)[:-1, side.rows]
-    J = tool_motions(machine, columns, readings, _first(machine), conditions=told)
-    return np.asarray(np.sqrt(np.mean(np.sum(J[:, :3] ** 2, axis=1), axis=0)))
+    moved = [tool_motions(machine, columns, readings, tool, conditions=told)[:, :3] for tool in tools]
+    return np.asarray(np.sqrt(np.max([np.mean(np.sum(J**2, axis=1), axis=0) for J in moved], axis=0)))
 
 
-def _first(machine: CalibratedMachine) -> str:
-    return next(iter(machine.tools))
-
-
-def _stated(machine: CalibratedMachine, readings: Array, told: Conditions, tool: str) -> float:
-    """Return the mean variance of the tool's position that is left when base and tool are fitted, in m^2."""
-    layout, number = machine.layout, list(machine.tools).index(tool)
+def _stated(machine: CalibratedMachine, tools: Sequence[str], readings: Array, told: Conditions) -> float:
+    """Return the mean variance of the tools' positions that is left when base and tools are fitted, in m^2."""
+    layout, names = machine.layout, list(machine.tools)
     of_robot = machine.known_uncertainty.shown.copy()
     of_robot[layout.base :] = 0.0
-    fitted = np.eye(len(of_robot))[:, [*range(layout.base, layout.tools), *(layout.tools + 6 * number + np.arange(3))]]
-    J = tool_motions(machine, np.hstack([of_robot, fitted]), readings, tool, conditions=told)
-    rows = J[:, :3].reshape(-1, J.shape[2])
-    moved, frames = rows[:, : of_robot.shape[1]], rows[:, of_robot.shape[1] :]
-    rest = moved - frames @ np.linalg.lstsq(frames, moved, rcond=None)[0]
-    return float(np.sum(rest**2)) / len(readings)
+    places = [layout.tools + 6 * names.index(tool) + k for tool in tools for k in range(3)]
+    fitted = np.eye(len(of_robot))[:, [*range(layout.base, layout.tools), *places]]
+    columns = np.hstack([of_robot, fitted])
+    moved = [tool_motions(machine, columns, readings, tool, conditions=told)[:, :3] for tool in tools]
+    rows = np.concatenate(moved).reshape(-1, columns.shape[1])
+    robots, frames = rows[:, : of_robot.shape[1]], rows[:, of_robot.shape[1] :]
+    rest = robots - frames @ np.linalg.lstsq(frames, robots, rcond=None)[0]
+    return float(np.sum(rest**2)) / (len(readings) * len(tools))
 
 
-def _at_tip(old: CalibratedMachine, new: CalibratedMachine, readings: Array, told: Conditions, tool: str) -> Array:
-    """Return by how much (N,) the tool differs, base and tool of the old machine fitted to the new one."""
-    tips = [machine.tips(readings, told) for machine in (old, new)]
-    target = (tips[1] @ new.tools[tool])[:, :3, 3]
-    guess = old.tools[tool][None]
-    rows = TipObservations(
-        tips[0], target, np.full((len(readings), 3, 3), np.nan), np.zeros(len(readings), dtype=np.intp)
+def _at_tip(
+    old: CalibratedMachine, new: CalibratedMachine, tools: Sequence[str], readings: Array, told: Conditions
+) -> Array:
+    """Return by how much (N,) the tools differ, base and tools of the old machine fitted to the new one."""
+    tips, targets = (
+        np.concatenate([machine.of(tool).tips(readings, told) @ after for tool, after in places])
+        for machine, places in (
+            (old, [(tool, np.eye(4)) for tool in tools]),
+            (new, [(tool, new.tools[tool]) for tool in tools]),
+        )
     )
+    guess, number = np.array([old.tools[tool] for tool in tools]), np.repeat(np.arange(len(tools)), len(readings))
+    rows = TipObservations(tips, targets[:, :3, 3], np.full((len(tips), 3, 3), np.nan), number)
     with one_thread(of_scipy=False):
-        base, tools, _ = base_and_tools(rows, KnownFrames(None, None, guess[:, :3, :3]), guess)
-    return np.asarray(np.linalg.norm((base @ tips[0] @ tools[0])[:, :3, 3] - target, axis=1))
+        base, found, _ = base_and_tools(rows, KnownFrames(None, None, guess[:, :3, :3]), guess)
+    return np.asarray(np.linalg.norm((base @ tips @ found[number])[:, :3, 3] - targets[:, :3, 3], axis=1))

@@ -19,7 +19,8 @@ from calib.machine.grid import Leaning, grid_from_residuals
 from calib.machine.of_fit import machine_of
 from calib.machine.residual_model import ResidualModel
 from calib.presentation.acceptance_tables import verification_lines
-from tests.support import machines
+from calib.robot.urdf import parse_urdf
+from tests.support import machines, trees
 from tests.support.cases import copy_case, run
 from tests.support.machines import Array, Machine, anywhere, pose
 
@@ -390,6 +391,36 @@ def test_parameters_that_move_several_entries_are_compared(policy: Literal["mini
     assert found.statistic == pytest.approx(placements.statistic, rel=0.05)
     assert found.tip_rms == pytest.approx(placements.tip_rms, rel=0.05)
     assert not found.moved
+
+
+def two_arms(true: trees.Tree, seed: int, *, first: str = "right_hand") -> calib.CalibratedMachine:
+    """A calibration of a torso with two arms, whose hands a tracker saw, that of ``first`` before the other one."""
+    rng, ball = np.random.default_rng(seed), pose((0.05, 0.02, 0.1))
+    tips = sorted(("right_hand", "left_hand"), key=lambda tip: tip != first)
+    robot = calib.load_robot(parse_urdf(trees.urdf().encode(), "tree.urdf"), tips[0], links=tips[1:])
+    data = []
+    for tip in tips:
+        q = true.draw(rng, 80)
+        xyz = (true.link(tip, q) @ ball)[:, :3, 3] + rng.normal(scale=SIGMA, size=(80, 3))
+        columns = true.columns(q, tuple(tips)) | {f"{axis} [m]": xyz[:, k] for k, axis in enumerate("xyz")}
+        seen_there = calib.read_measurements(columns, robot.with_tip(tip), sigma=SIGMA)
+        data.append(seen_there.named(tool=f"of {tip}"))
+    return machine_of(calib.identify(calib.error_model(robot, offsets="all", placements="all"), data))
+
+
+def test_all_tools_of_two_arms_are_looked_at() -> None:
+    true = trees.tree(np.random.default_rng(0))
+    before = two_arms(true, 1)
+    offsets, tools = np.array(before.deviations.offsets), {"right": 0.0, "left": 0.0}
+    names = [before.robot.chain[i].name for i in before.robot.moving]
+    for side in tools:
+        turned = offsets.copy()
+        turned[names.index(f"{side}_elbow")] += 2e-3
+        found = compare(before, replace(before, deviations=replace(before.deviations, offsets=turned)))
+        tools[side] = found.tip_max
+    # The two arms are alike: what moves one of them shows as much as what moves the other.
+    assert tools["left"] > 3e-4
+    assert tools["left"] == pytest.approx(tools["right"], rel=0.3)
 
 
 def test_other_machines_are_not_compared() -> None:
