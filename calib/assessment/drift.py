@@ -45,6 +45,10 @@ _SAMPLES = 500
 _YEARS = 1e11
 
 
+# A machine, and readings with their conditions in the order of its joints.
+_Told = tuple[CalibratedMachine, Array, Conditions]
+
+
 @dataclass(frozen=True, slots=True)
 class Change:
     """What became of one parameter: ``old``, ``new`` and the ``sigma`` of their difference, in ``unit``.
@@ -108,7 +112,7 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
     Raises MeasurementError when they are of different ones, or the uncertainty of one is not known.
     """
     robot = old.robot
-    if differs := other_machine(robot, new.robot):
+    if differs := _other_arms(robot, new.robot):
         raise MeasurementError(f"the two calibrations are not of one machine: {differs}.")
     if set(old.tools).isdisjoint(new.tools):
         olds, news = (listed(list(machine.tools)) for machine in (old, new))
@@ -148,8 +152,9 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
         statistic, freedom = _together(before, after, apart)
         if freedom:
             probability = float(exceeded(statistic, freedom, nu))
-    errors = _at_tip(old, new, tools, readings, told)
-    stated = _stated(old, tools, readings, told) + _stated(new, tools, readings, told)
+    told_to = [(machine, *_as_read_by(robot, machine, readings, told)) for machine in (old, new)]
+    errors = _at_tip(told_to[0], told_to[1], tools)
+    stated = sum(_stated(*one, tools) for one in told_to)
     return Comparison(
         tuple(changes),
         statistic,
@@ -172,6 +177,19 @@ def other_machine(one: Robot, other: Robot) -> str:
     return ""
 
 
+def _other_arms(one: Robot, other: Robot) -> str:
+    """Return :func:`other_machine` of two robots whose arms may be named in another order."""
+    names = [[joint.name for joint in robot.chain] for robot in (one, other)]
+    if names[0] == names[1] or set(names[0]) != set(names[1]):
+        return other_machine(one, other)
+    known = {joint.name: joint for joint in other.chain}
+    alike = (
+        joint.type == known[joint.name].type and np.allclose(joint.placement, known[joint.name].placement, atol=1e-9)
+        for joint in one.chain
+    )
+    return "" if all(alike) else "their nominal URDFs differ"
+
+
 def _joints(robot: Robot) -> tuple[tuple[str, str], ...]:
     return tuple((joint.name, joint.type) for joint in robot.chain)
 
@@ -179,22 +197,17 @@ def _joints(robot: Robot) -> tuple[tuple[str, str], ...]:
 class _Entries(NamedTuple):
     """What of the state of two robots is compared: names, units, and the parameter scale of each.
 
-    ``terms``: names of the joint terms of either, whose coefficients are the last entries.
+    The geometry of the old one, then the coefficients of the joint terms of either.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     scale: Array
-    terms: tuple[str, ...]
 
     @classmethod
     def of(cls, old: CalibratedMachine, new: CalibratedMachine) -> "_Entries":
         robot = old.robot
-        names = [f"{joint.name}.{component}" for joint in robot.chain for component in COMPONENTS]
-        units = ["m" if component.startswith("t") else "rad" for _ in robot.chain for component in COMPONENTS]
-        for i in robot.moving:
-            names.append(f"{robot.chain[i].name}.offset")
-            units.append("m" if robot.chain[i].type == "prismatic" else "rad")
+        names, units = [*_geometry(robot)], [*_geometry(robot).values()]
         dimensions = {reading.name: reading.dimension for reading in robot.readings}
         terms = {term.name: term for machine in (old, new) for term in machine.robot.terms}
         coefficients = [
@@ -202,7 +215,24 @@ class _Entries(NamedTuple):
         ]
         scale = np.append(np.full(len(names), DEFAULT_SIGMA), [of_term.typical_size for of_term in coefficients])
         units.extend(of_term.unit for of_term in coefficients)
-        return cls((*names, *terms), tuple(units), scale, tuple(terms))
+        return cls((*names, *terms), tuple(units), scale)
+
+
+def _geometry(robot: Robot) -> dict[str, str]:
+    """Return the names of the state of a robot without joint terms, in order, and the unit of each."""
+    units = {f"{joint.name}.{c}": "m" if c.startswith("t") else "rad" for joint in robot.chain for c in COMPONENTS}
+    moving = (robot.chain[i] for i in robot.moving)
+    return units | {f"{joint.name}.offset": "m" if joint.type == "prismatic" else "rad" for joint in moving}
+
+
+def _as_read_by(
+    robot: Robot, machine: CalibratedMachine, readings: Array, told: Conditions
+) -> tuple[Array, Conditions]:
+    """Return readings (N, nr) of a robot, and their conditions, in the order of a machine's."""
+    names = [reading.name for reading in robot.readings]
+    order = [names.index(reading.name) for reading in machine.robot.readings]
+    sides, torque = (None if values is None else values[:, order] for values in (told.approach, told.torque))
+    return readings[:, order], replace(told, approach=sides, torque=torque)
 
 
 class _Side(NamedTuple):
@@ -223,9 +253,8 @@ class _Side(NamedTuple):
     @classmethod
     def of(cls, machine: CalibratedMachine, entries: _Entries) -> "_Side":
         layout, known = machine.layout, machine.known_uncertainty
-        own = [term.name for term in machine.robot.terms]
-        at = [layout.terms + own.index(name) if name in own else layout.size for name in entries.terms]
-        rows = np.array([*range(layout.terms), *at], dtype=np.intp)
+        own = {name: k for k, name in enumerate((*_geometry(machine.robot), *(t.name for t in machine.robot.terms)))}
+        rows = np.array([own.get(name, layout.size) for name in entries.names], dtype=np.intp)
         state = np.zeros(layout.size + 1)
         of_robot = machine.deviations
         state[: layout.base] = np.concatenate([of_robot.placements.ravel(), of_robot.offsets, of_robot.terms])
@@ -320,7 +349,9 @@ def _together(old: _Side, new: _Side, apart: Array) -> tuple[float, int]:
 
 
 def _common_readings(old: CalibratedMachine, new: CalibratedMachine, seed: int) -> Array:
-    before, after = old.known_uncertainty.identified, new.known_uncertainty.identified
+    names = [reading.name for reading in new.robot.readings]
+    order = [names.index(reading.name) for reading in old.robot.readings]
+    before, after = old.known_uncertainty.identified, new.known_uncertainty.identified[order]
     # The same readings, told in another turn, are a range in common.
     middle = after.mean(axis=1)
     turned = turned_towards(
@@ -334,7 +365,8 @@ def _common_readings(old: CalibratedMachine, new: CalibratedMachine, seed: int) 
     known = (machine.known_uncertainty.closure_determinant for machine in (old, new))
     determinants = [one for one in known if one is not None]
     nearest = max(determinants, key=abs) if len({one > 0.0 for one in determinants}) == 1 else None
-    machines = (old.deviations, new.deviations)
+    # Loops are those of the old robot, whose deviations have another order where its arms have.
+    machines = (old.deviations, new.deviations if order == sorted(order) else None)
     return random_readings(old.robot, _SAMPLES, limits, machines, determinant=nearest, seed=seed)
 
 
@@ -362,7 +394,7 @@ def _by_entry(side: _Side, tools: Sequence[str], readings: Array, told: Conditio
     return np.asarray(np.sqrt(np.max([np.mean(np.sum(J**2, axis=1), axis=0) for J in moved], axis=0)))
 
 
-def _stated(machine: CalibratedMachine, tools: Sequence[str], readings: Array, told: Conditions) -> float:
+def _stated(machine: CalibratedMachine, readings: Array, told: Conditions, tools: Sequence[str]) -> float:
     """Return the mean variance of the tools' positions that is left when base and tools are fitted, in m^2."""
     layout, names = machine.layout, list(machine.tools)
     of_robot = machine.known_uncertainty.shown.copy()
@@ -377,19 +409,16 @@ def _stated(machine: CalibratedMachine, tools: Sequence[str], readings: Array, t
     return float(np.sum(rest**2)) / (len(readings) * len(tools))
 
 
-def _at_tip(
-    old: CalibratedMachine, new: CalibratedMachine, tools: Sequence[str], readings: Array, told: Conditions
-) -> Array:
+def _at_tip(old: _Told, new: _Told, tools: Sequence[str]) -> Array:
     """Return by how much (N,) the tools differ, base and tools of the old machine fitted to the new one."""
-    tips, targets = (
-        np.concatenate([machine.of(tool).tips(readings, told) @ after for tool, after in places])
-        for machine, places in (
-            (old, [(tool, np.eye(4)) for tool in tools]),
-            (new, [(tool, new.tools[tool]) for tool in tools]),
-        )
+    (before, readings, told), (after, of_new, told_of_new) = old, new
+    tips = np.concatenate([before.of(tool).tips(readings, told) for tool in tools])
+    targets = np.concatenate(
+        [(after.of(tool).tips(of_new, told_of_new) @ after.tools[tool])[:, :3, 3] for tool in tools]
     )
-    guess, number = np.array([old.tools[tool] for tool in tools]), np.repeat(np.arange(len(tools)), len(readings))
-    rows = TipObservations(tips, targets[:, :3, 3], np.full((len(tips), 3, 3), np.nan), number)
+    guess = np.array([before.tools[tool] for tool in tools])
+    number = np.repeat(np.arange(len(tools)), len(tips) // len(tools))
+    rows = TipObservations(tips, targets, np.full((len(tips), 3, 3), np.nan), number)
     with one_thread(of_scipy=False):
         base, found, _ = base_and_tools(rows, KnownFrames(None, None, guess[:, :3, :3]), guess)
-    return np.asarray(np.linalg.norm((base @ tips @ found[number])[:, :3, 3] - targets[:, :3, 3], axis=1))
+    return np.asarray(np.linalg.norm((base @ tips @ found[number])[:, :3, 3] - targets, axis=1))

@@ -423,6 +423,22 @@ def test_all_tools_of_two_arms_are_looked_at() -> None:
     assert tools["left"] == pytest.approx(tools["right"], rel=0.3)
 
 
+def test_arms_in_another_order_are_the_same_machine() -> None:
+    """The tip of a job is that of its first table, from which the order of the arms follows."""
+    true = trees.tree(np.random.default_rng(0))
+    before, after = two_arms(true, 1), two_arms(true, 2, first="left_hand")
+    names = [[reading.name for reading in one.robot.readings] for one in (before, after)]
+    assert names[0] != names[1]
+    found, back = compare(before, after), compare(after, before)
+    assert found.statistic is not None
+    assert 0.4 < found.statistic / found.degrees_of_freedom < 1.8
+    assert (back.statistic, back.degrees_of_freedom) == (
+        pytest.approx(found.statistic, rel=1e-3),
+        found.degrees_of_freedom,
+    )
+    assert found.tip_rms < 2.0 * found.stated
+
+
 def test_other_machines_are_not_compared() -> None:
     _, true, _ = machine()
     name = (machines.INLINE["negative"], "tip")
