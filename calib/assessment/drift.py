@@ -28,6 +28,7 @@ from calib.machine.turns import turned_towards
 from calib.machine.uncertainty import Uncertainty
 from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions, ordinary
 from calib.robot.deviation import COMPONENTS
+from calib.robot.joint_terms import with_joint_terms
 from calib.robot.robot import Robot
 from calib.robot.sampling import random_readings
 from calib.robot.terms import kind_of
@@ -152,7 +153,7 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
         statistic, freedom = _together(before, after, apart)
         if freedom:
             probability = float(exceeded(statistic, freedom, nu))
-    told_to = [(machine, *_as_read_by(robot, machine, readings, told)) for machine in (old, new)]
+    told_to = [(machine, *_as_read_by(robot, machine, readings, told)) for machine in (old, _loaded_as(old, new))]
     errors = _at_tip(told_to[0], told_to[1], tools)
     stated = sum(_stated(*one, tools) for one in told_to)
     return Comparison(
@@ -233,6 +234,16 @@ def _as_read_by(
     order = [names.index(reading.name) for reading in machine.robot.readings]
     sides, torque = (None if values is None else values[:, order] for values in (told.approach, told.torque))
     return readings[:, order], replace(told, approach=sides, torque=torque)
+
+
+def _loaded_as(one: CalibratedMachine, other: CalibratedMachine) -> CalibratedMachine:
+    """Return another machine under the load of one: first set-ups, at which machines are, may have carried others."""
+    load, robot = one.robot.load, other.robot
+    payload = load.payload and replace(load.payload, link=load.payload.link or (*one.robot.links, one.robot.tip)[0])
+    if not robot.terms or load == robot.load or (payload and payload.link not in (*robot.links, robot.tip)):
+        return other
+    alike = replace(robot, gravity=load.gravity, payload=payload, loads={})
+    return replace(other, robot=with_joint_terms(alike, robot.terms), in_urdf=None)
 
 
 class _Side(NamedTuple):

@@ -19,6 +19,7 @@ from calib.machine.grid import Leaning, grid_from_residuals
 from calib.machine.of_fit import machine_of
 from calib.machine.residual_model import ResidualModel
 from calib.presentation.acceptance_tables import verification_lines
+from calib.robot.joint_terms import with_joint_terms
 from calib.robot.urdf import parse_urdf
 from tests.support import machines, trees
 from tests.support.cases import copy_case, run
@@ -437,6 +438,20 @@ def test_arms_in_another_order_are_the_same_machine() -> None:
         found.degrees_of_freedom,
     )
     assert found.tip_rms < 2.0 * found.stated
+
+
+def test_machines_are_looked_at_under_one_load() -> None:
+    """Their first set-ups may have carried others, and what sags under these has not moved."""
+    robot, true, _ = machine()
+    model = calib.error_model(robot, offsets="all", terms={"elastic": ["shoulder_lift_joint"]})
+    before = machine_of(calib.identify(model, seen(true, 60, 1)))
+    soft = replace(before, deviations=replace(before.deviations, terms=np.array([2e-5])))
+    loaded = replace(soft.robot, payload=calib.measuring.Payload(8.0, (0.0, 0.0, 0.06)))
+    heavy = replace(soft, robot=with_joint_terms(loaded, loaded.terms))
+    q = np.zeros((1, 6))
+    assert np.linalg.norm(heavy.tips(q)[0, :3, 3] - soft.tips(q)[0, :3, 3]) > 1e-3
+    for found in (compare(soft, heavy), compare(heavy, soft)):
+        assert found.tip_max < 1e-7
 
 
 def test_other_machines_are_not_compared() -> None:
