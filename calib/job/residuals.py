@@ -1,6 +1,7 @@
 """The last level of a job: a model of what the identified machine leaves, over joint space."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -50,6 +51,9 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
         [(np.swapaxes(R, -1, -2) @ r[:, :, None])[:, :, 0] for R, r in zip(axes, errors, strict=True)]
     )
     readings = np.concatenate([data.readings for data in sets])
+    # Elsewhere base and load err otherwise.
+    several = len({name for data in fit.measurements for name in data.setups}) > 1
+    setups = tuple(sorted({data.setups[k] for data in sets for k in data.setup})) if several else ()
     if section.kind == "grid":
         grid = grid_from_residuals(
             readings,
@@ -60,14 +64,14 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
             partial=True,
             where=[f"{data.where}:{line}" for data in sets for line in data.lines],
         )
-        return ResidualLevel(grid, int(3 * grid.measured.sum()))
+        return ResidualLevel(replace(grid, setups=setups), int(3 * grid.measured.sum()))
     progress("learning the Gaussian process")
     known = gaussian_from_residuals(
         readings, turned, fit.robot.readings, section.joints, section.frame, where=sets[0].where
     )
     gain = bought(known, readings, turned, row_groups(sets))
     if gain.enters:
-        return ResidualLevel(known, len(known.joints) + 2)
+        return ResidualLevel(replace(known, setups=setups), len(known.joints) + 2)
     without, held = gain
     of = f" ({MOST_JUDGED} of {len(readings)} are looked at)" if len(readings) > MOST_JUDGED else ""
     sentence = (

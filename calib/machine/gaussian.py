@@ -29,6 +29,7 @@ from calib.machine.grid import (
     joint_numbers,
     load_residuals,
     measured_errors,
+    named_setups,
     residual_bytes,
 )
 from calib.machine.npz import NotReadableError
@@ -92,7 +93,7 @@ class GaussianResiduals:
     ``readings``: all joints of the robot, in the order of its readings, and ``joints``: numbers of the k that errors
     follow. ``points`` (n, k): where in rad and m the ``errors`` (n, 3) were measured, in m, in the axes of ``frame``.
     ``factor`` (n, n), ``weights`` (n, 3): lower Cholesky factor of the covariance of the rows, and its inverse times
-    the errors. ``turning``: of all joints, or none, whether a whole turn brings them back.
+    the errors. ``turning``: of all joints, or none, whether a whole turn brings them back. ``setups``: as of a grid.
     """
 
     __repr__ = brief
@@ -106,6 +107,7 @@ class GaussianResiduals:
     factor: Array
     weights: Array
     turning: tuple[bool, ...] = ()
+    setups: tuple[str, ...] = ()
 
     @property
     def rows(self) -> int:
@@ -328,7 +330,7 @@ def gaussian_bytes(known: GaussianResiduals, run: str | None = None) -> bytes:
         "scales": kernel.scales,
         "noise": np.array(kernel.noise),
     }
-    return residual_bytes(known.frame, known.joints, known.readings, arrays, run)
+    return residual_bytes(known.frame, known.joints, known.readings, arrays | named_setups(known.setups), run)
 
 
 def load_gaussian(path: str | Path, robot_readings: Sequence[Reading] | None = None) -> GaussianResiduals:

@@ -36,6 +36,7 @@ _MOST_NODES = 10_000_000
 _MOST_JOINTS = 8
 SCHEMA = 1
 _RUN = "run"  # in files of results
+_SETUPS = "setups"
 _KEYS = ("schema", "frame", "joints", "dimensions", "reference", "axes", "lengths", "errors", "measured")
 
 
@@ -60,7 +61,8 @@ class SectorGrid:
     spans, each with its nodes in ``axes``, ascending, in rad or m. ``reference`` (nr): where the other joints stood;
     NaN for those of the grid. ``errors`` (n_1, ..., n_k, 3): in m, in the axes of ``frame``; where ``measured``
     (n_1, ..., n_k) is false, those of the nearest measured node. ``turning``: of all joints, or none, whether a whole
-    turn brings them back; their readings are inside if they are so some whole turns away.
+    turn brings them back; their readings are inside if they are so some whole turns away. ``setups``: of a machine with
+    several, the names of those in which the errors were measured.
     """
 
     __repr__ = brief
@@ -73,6 +75,7 @@ class SectorGrid:
     measured: BoolArray
     frame: Frame
     turning: tuple[bool, ...] = ()
+    setups: tuple[str, ...] = ()
 
     @property
     def rows(self) -> int:
@@ -400,7 +403,12 @@ def grid_bytes(grid: SectorGrid, run: str | None = None) -> bytes:
         "errors": grid.errors,
         "measured": grid.measured,
     }
-    return residual_bytes(grid.frame, grid.joints, grid.readings, arrays, run)
+    return residual_bytes(grid.frame, grid.joints, grid.readings, arrays | named_setups(grid.setups), run)
+
+
+def named_setups(setups: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
+    """Return what a file tells of the set-ups of a residual model: nothing where there is but one."""
+    return {_SETUPS: np.array(setups)} if setups else {}
 
 
 def residual_bytes(
@@ -451,9 +459,9 @@ def load_residuals(
     """Read a residual model of these ``keys``. ``names``: what it is, and what it is of a robot, for messages."""
     data = read_bytes(Path(path), OutputError, LARGEST_FILE)
     try:
-        arrays = arrays_of(data, keys, (_RUN,))
-        run = _run_in(arrays.pop(_RUN, None))
-        known = made(arrays)
+        arrays = arrays_of(data, keys, (_RUN, _SETUPS))
+        run, setups = _run_in(arrays.pop(_RUN, None)), _setups_in(arrays.pop(_SETUPS, None))
+        known = replace(made(arrays), setups=setups)
     except NotReadableError as e:
         raise OutputError(f"{path}: is not {names[0]} of this toolkit: {e}.") from e
     if robot_readings is not None and known.readings != tuple((r.name, r.dimension) for r in robot_readings):
@@ -469,6 +477,13 @@ def _run_in(array: npt.NDArray[Any] | None) -> str | None:
     if array is not None and (array.shape != () or array.dtype.kind != "U"):
         raise NotReadableError(f"{_RUN} has a wrong type")
     return None if array is None else str(array)
+
+
+def _setups_in(array: npt.NDArray[Any] | None) -> tuple[str, ...]:
+    """Return the set-ups that a residual model names. Raises NotReadableError for what are no names."""
+    if array is not None and (array.ndim != 1 or array.dtype.kind != "U"):
+        raise NotReadableError(f"{_SETUPS} has a wrong type")
+    return () if array is None else tuple(str(name) for name in array)
 
 
 def head_of(

@@ -17,6 +17,10 @@ class ResidualModel(Protocol):
         """Whose axes the vectors have: those of the base or of the tip link."""
 
     @property
+    def setups(self) -> tuple[str, ...]:
+        """Of a machine with several, the names of the set-ups in which the errors were measured."""
+
+    @property
     def rows(self) -> int:
         """How many measured rows are gone through for every vector."""
 

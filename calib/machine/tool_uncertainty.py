@@ -7,6 +7,7 @@ What the data do not show has the width of not knowing.
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -160,6 +161,10 @@ class _View:
         self._tips = TipModel(machine.robot, machine.deviations)
         self._layout, self._state = machine.layout, machine.state
 
+    def of(self, machine: CalibratedMachine) -> "_View":
+        """Return the same of another machine."""
+        return _View(machine, self.tool, base=self.base, tool_pose=self._tool_pose)
+
     def at(self, readings: Array, conditions: Conditions) -> "_Seen":
         """Return how the tip moves at readings (N, nr). Raises as :meth:`Robot.motion` does."""
         return _Seen(self, self._tips.motion(self.machine.robot.own(readings), conditions), readings, conditions)
@@ -220,6 +225,7 @@ class _Errors:
         # What a residual model leans on, which neighbours share: of every point, by its bytes, where its errors are.
         self._numbers: dict[bytes, int] = {}
         self._there = np.zeros((0, 3, known.factor.shape[1]))
+        self._measured = self._where_measured()
 
     def at(self, readings: Array, conditions: Conditions) -> tuple[Array, Array]:
         """Return a factor (N, 6, r) of the covariance of the tool's pose, but for scatter, at readings (N, nr).
@@ -242,8 +248,23 @@ class _Errors:
             for c in range(used.shape[1]):
                 common += lean.weights[:, c, None, None] * self._there[number[:, c]]
             found[:, :3] -= seen.axes(model) @ common
-        found[:, :3] *= lean.unknown[:, None, None]
+        if self._measured is self:
+            found[:, :3] *= lean.unknown[:, None, None]
+        elif (lean.unknown != 1.0).any():
+            # What base and load of this set-up err by was not measured in the other one.
+            there = self._measured.view.at(readings, conditions)
+            measured = np.swapaxes(there.axes(model), 1, 2) @ self._measured._of_kinematics(there)[0][:, :3]
+            found[:, :3] -= seen.axes(model) @ (measured * (1.0 - lean.unknown)[:, None, None])
         return found, unseen
+
+    def _where_measured(self) -> "_Errors":
+        """Return the errors in the set-up where a residual model was measured, if it is another one than this."""
+        machine = self.view.machine
+        setups = () if machine.residual_model is None else machine.residual_model.setups
+        if machine.setup in setups or not setups or setups[0] not in machine.bases:
+            return self
+        other = replace(machine.at(setups[0]), residual_model=None)
+        return _Errors(self.view.of(other), other.known_uncertainty)
 
     def _of_kinematics(self, seen: _Seen) -> tuple[Array, Array]:
         found, unseen = seen.motions(self._changes)
@@ -260,8 +281,8 @@ class _Errors:
         new = [k for k, name in enumerate(names) if name not in self._numbers]
         for start in range(0, len(new), _BLOCK):
             rows = at[new[start : start + _BLOCK]]
-            seen = self.view.at(rows, ordinary(rows))
-            errors = np.swapaxes(seen.axes(model), 1, 2) @ self._of_kinematics(seen)[0][:, :3]
+            seen = self._measured.view.at(rows, ordinary(rows))
+            errors = np.swapaxes(seen.axes(model), 1, 2) @ self._measured._of_kinematics(seen)[0][:, :3]
             self._there = np.concatenate([self._there, errors])
         self._numbers.update(zip([names[k] for k in new], itertools.count(len(self._numbers)), strict=False))
         return np.array([self._numbers[name] for name in names], dtype=np.intp)[own.reshape(-1)]

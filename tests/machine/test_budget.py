@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ import calib
 from calib.identification.noise import Noise
 from calib.machine.budget import errors_by_cause
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.gaussian import gaussian_from_residuals
-from calib.machine.grid import grid_from_residuals
+from calib.machine.gaussian import GaussianResiduals, gaussian_bytes, gaussian_from_residuals, load_gaussian
+from calib.machine.grid import SectorGrid, grid_bytes, grid_from_residuals, load_grid
 from calib.machine.of_fit import _beyond, machine_of
 from calib.machine.tool_uncertainty import residual_errors, tool_errors, tool_uncertainty
 from calib.machine.uncertainty import CAUSES, Waves, rms_by_cause
@@ -320,6 +321,44 @@ def test_plain_json_of_the_budget() -> None:
     fit, *_ = fitted()
     found = calib.judging.uncertainty_map(machine_of(fit), 20)
     assert json.loads(json.dumps(rms_by_cause(found.budget))).keys() == set(CAUSES)
+
+
+@pytest.mark.parametrize("kind", ["grid", "process"])
+def test_errors_measured_in_one_set_up_leave_those_of_another(kind: str, tmp_path: Path) -> None:
+    """A base that is known less well in one set-up is so beside errors that were measured in the other, too."""
+    fit, *_ = fitted(off=waving)
+    (data,) = fit.measurements
+    both = calib.identify(fit.model, [data, data.subset(np.arange(12)).named(setup="few")])
+    plain, axis = machine_of(both), np.linspace(-1.0, 1.0, 5)
+    nodes = np.zeros((25, 6))
+    nodes[:, :2] = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    if kind == "grid":
+        names = [reading.name for reading in fit.robot.readings]
+        model: GaussianResiduals | SectorGrid = grid_from_residuals(
+            nodes, np.full((25, 3), 1e-4), fit.robot.readings, names[:2]
+        )
+    else:
+        rows = np.random.default_rng(1).uniform(-1.0, 1.0, (300, 6))
+        model = gaussian_from_residuals(rows, 2e-4 * np.sin(rows[:, :3]), fit.robot.readings)
+    here = nodes[12:13] + 1e-9
+    first = plain.setup
+    standing = {
+        name: replace(plain, residual_model=replace(model, setups=(name,))).at("few") for name in (first, "few")
+    }
+    own, other = (np.linalg.norm(tool_errors(standing[name], here)[:, :3]) for name in ("few", first))
+    bases = [plain.at(name) for name in (first, "few")]
+    apart = np.linalg.norm(
+        bases[1].base[:3, :3].T @ tool_errors(bases[1], here)[0, :3]
+        - bases[0].base[:3, :3].T @ tool_errors(bases[0], here)[0, :3]
+    )
+    assert own < 0.2 * apart
+    assert other == pytest.approx(apart, rel=0.2)
+    # And a file tells it.
+    named = replace(model, setups=(first, "few"))
+    path = tmp_path / "known.npz"
+    path.write_bytes(gaussian_bytes(named) if isinstance(named, GaussianResiduals) else grid_bytes(named))
+    read = (load_gaussian if kind == "process" else load_grid)(path, fit.robot.readings)
+    assert read.setups == (first, "few")
 
 
 def test_what_a_process_over_some_joints_scatters_by_moves_the_tool() -> None:
