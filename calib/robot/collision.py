@@ -10,7 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -44,6 +44,10 @@ _TESTS_OF_A_POSE = 100
 # processor could have done meanwhile, at this many seconds each: ordinary ones are far from that on slow machines, too.
 _OF_MESHES = 4.0
 _OF_TIME = 2e-5
+# Of two meshes of more triangles, so many of each tell beforehand how long a test takes, if even they take as many
+# seconds: of triangles that lie on each other each is judged with each.
+_FEW_TRIANGLES = 1000
+_LONG = 1e-3
 # Two balls, in numbers of three coordinates, as a part of such a test.
 _OF_BALLS = 1.0 / 1000.0
 _BLOCK = 200  # poses at a time
@@ -63,7 +67,7 @@ _PLAIN_SHAPES = {
 class _Shape:
     """A shape at ``placement`` (4, 4) in ``link``, within a ball of ``radius`` about ``centre`` (3,) in that link.
 
-    ``effort``: what a test of it counts.
+    ``effort``: what a test of it counts. ``mesh``: what it is made of, if it is one.
     """
 
     link: str
@@ -72,6 +76,15 @@ class _Shape:
     centre: Array
     radius: float
     effort: float
+    mesh: "_Mesh | None" = None
+
+
+class _Mesh(NamedTuple):
+    """A mesh, and a ``share`` of its triangles, evenly taken, as a mesh of ``few``."""
+
+    whole: Any
+    few: object
+    share: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +143,11 @@ class Effort:
     def spend(self, tests: float) -> None:
         """Count some tests more. Raises RobotError when they are too many."""
         self._done += tests
-        if self._done > self._most:
+        self.refuse(0.0)
+
+    def refuse(self, tests: float) -> None:
+        """Raise RobotError when some tests more would be too many."""
+        if self._done + tests > self._most:
             raise RobotError(
                 f"{self._robot.urdf.where}: to find where its collision shapes touch takes more than {self._most} "
                 "tests of two of them; give simpler shapes, or do not judge collisions (--no-collisions)."
@@ -168,17 +185,31 @@ class _Poses:
         least = max(self._shapes[a].effort, self._shapes[b].effort)
         where = (self._at(a, pose), self._at(b, pose))
         shapes = (self._shapes[a].geometry, self._shapes[b].geometry)
-        start = time.process_time()
-        count: int = coal.collide(shapes[0], where[0], shapes[1], where[1], _REQUEST, coal.CollisionResult())
-        meshes = self._shapes[a].effort > 1.0 and self._shapes[b].effort > 1.0
-        self._effort.spend(max(least, (time.process_time() - start) / _OF_TIME) if meshes else least)
-        return count > 0
+        meshes = self._shapes[a].mesh, self._shapes[b].mesh
+        if meshes[0] is None or meshes[1] is None:
+            self._effort.spend(least)
+            return _collide(shapes, where)[0]
+        share = meshes[0].share * meshes[1].share
+        if share < 1.0:
+            _, seconds = _collide((meshes[0].few, meshes[1].few), where)
+            if seconds > _LONG:
+                self._effort.refuse(seconds / share / _OF_TIME)
+        found, seconds = _collide(shapes, where)
+        self._effort.spend(max(least, seconds / _OF_TIME))
+        return found
 
     def _at(self, shape: int, pose: int) -> object:
         key = (shape, pose)
         if key not in self._known:
             self._known[key] = _transform(self._placed[shape][pose] @ self._shapes[shape].placement)
         return self._known[key]
+
+
+def _collide(shapes: tuple[object, object], where: tuple[object, object]) -> tuple[bool, float]:
+    """Return whether two shapes touch where they are, and how long that took to find, in s."""
+    start = time.process_time()
+    count: int = coal.collide(shapes[0], where[0], shapes[1], where[1], _REQUEST, coal.CollisionResult())
+    return count > 0, time.process_time() - start
 
 
 @checked
@@ -238,10 +269,10 @@ class _Meshes:
     def __init__(self, where: str, roots: Sequence[Path]) -> None:
         self._where, self._roots = where, roots
         self._read: dict[Path, Triangles | None] = {}
-        self._made: dict[tuple[Path, tuple[float, ...]], object] = {}
+        self._made: dict[tuple[Path, tuple[float, ...]], _Mesh] = {}
         self._spare = MOST_CORNERS
 
-    def find(self, attributes: Mapping[str, str], at: str) -> object:
+    def find(self, attributes: Mapping[str, str], at: str) -> _Mesh:
         """Return a mesh. Raises RobotError when all that were made are too large together."""
         name = attributes.get("filename", "")
         path = find_mesh(name, self._roots)
@@ -281,8 +312,10 @@ def _shape(link: str, origin: Mapping[str, str], shape: Element, meshes: _Meshes
     at = f"The collision shape of link {link!r}"
     xyz, rpy = (_numbers(origin.get(name, "0 0 0"), 3, at) for name in ("xyz", "rpy"))
     placement = rigid.placement(rigid.rotation_of_rpy(rpy), xyz)
+    mesh: _Mesh | None = None
     if shape.tag == "mesh":
-        geometry: Any = meshes.find(shape.attributes, at)
+        mesh = meshes.find(shape.attributes, at)
+        geometry: Any = mesh.whole
     elif shape.tag in _PLAIN_SHAPES:
         made, needed = _PLAIN_SHAPES[shape.tag]
         numbers = [_numbers(shape.attributes.get(name, ""), count, at) for name, count in needed.items()]
@@ -297,11 +330,12 @@ def _shape(link: str, origin: Mapping[str, str], shape: Element, meshes: _Meshes
         geometry,
         placement[:3, :3] @ centre + placement[:3, 3],
         float(geometry.aabb_radius),
-        _OF_MESHES if shape.tag == "mesh" else 1.0,
+        1.0 if mesh is None else _OF_MESHES,
+        mesh,
     )
 
 
-def _made(found: Triangles, scale: Array, what: str) -> object:
+def _made(found: Triangles, scale: Array, what: str) -> _Mesh:
     vertices = found.vertices * scale
     if np.abs(vertices).max() > LARGEST_NUMBER:
         raise _LeftOutError(f"{what}, which has corners beyond {LARGEST_NUMBER:g} m, and is not judged.")
@@ -310,6 +344,14 @@ def _made(found: Triangles, scale: Array, what: str) -> object:
     faces = found.faces[(corners != corners[:, [1, 2, 0]]).any(axis=2).all(axis=1)]
     if not len(faces):
         raise _LeftOutError(f"{what}, which has no triangles, and is not judged.")
+    whole = _bvh(vertices, faces)
+    if len(faces) <= _FEW_TRIANGLES:
+        return _Mesh(whole, whole, 1.0)
+    few = faces[np.linspace(0, len(faces), _FEW_TRIANGLES, endpoint=False, dtype=np.intp)]
+    return _Mesh(whole, _bvh(vertices, few), len(few) / len(faces))
+
+
+def _bvh(vertices: Array, faces: IntArray) -> object:
     shape = coal.BVHModelOBBRSS()
     shape.beginModel(len(faces), len(vertices))
     shape.addVertices(vertices)

@@ -3,7 +3,10 @@
 import os
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import coal
 import numpy as np
 import pytest
 
@@ -252,6 +255,23 @@ def test_meshes_that_wind_into_each_other_count_by_the_time_they_take(
     # Three pairs in 200 poses are 2400 tests, and take a hundred times longer.
     with pytest.raises(RobotError, match=r"takes more than 20000 tests of two of them; "):
         self_collision(robot_of(with_shapes(ARM, shapes)), [tmp_path])
+
+
+def test_triangles_that_lie_on_each_other_are_refused_before_each_is_judged_with_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "m.stl").write_bytes(needles(20_000, 2))
+    mesh = '<collision><geometry><mesh filename="m.stl"/></geometry></collision>'
+    judged: list[int] = []
+
+    def collide(a: Any, *more: Any) -> int:
+        judged.append(a.num_tris)
+        return int(coal.collide(a, *more))
+
+    monkeypatch.setattr("calib.robot.collision.coal", SimpleNamespace(**vars(coal) | {"collide": collide}))
+    with pytest.raises(RobotError, match=r"takes more than 300000 tests of two of them; "):
+        self_collision(robot_of(with_shapes(ARM, dict.fromkeys(BALLS, mesh))), [tmp_path])
+    assert set(judged) == {1000}
 
 
 def test_an_arm_without_shapes_has_none() -> None:
