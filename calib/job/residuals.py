@@ -51,9 +51,12 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
         [(np.swapaxes(R, -1, -2) @ r[:, :, None])[:, :, 0] for R, r in zip(axes, errors, strict=True)]
     )
     readings = np.concatenate([data.readings for data in sets])
-    # Elsewhere base and load err otherwise.
-    several = len({name for data in fit.measurements for name in data.setups}) > 1
-    setups = tuple(sorted({data.setups[k] for data in sets for k in data.setup})) if several else ()
+    # Elsewhere base and load err otherwise, and so do other tools.
+    several = [len({name for data in fit.measurements for name in of(data)}) > 1 for of in (_setups, _tools)]
+    setups, tools = (
+        tuple(sorted({name for data in sets for name in of(data)})) if there else ()
+        for of, there in zip((_setups, _tools), several, strict=True)
+    )
     if section.kind == "grid":
         grid = grid_from_residuals(
             readings,
@@ -64,14 +67,14 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
             partial=True,
             where=[f"{data.where}:{line}" for data in sets for line in data.lines],
         )
-        return ResidualLevel(replace(grid, setups=setups), int(3 * grid.measured.sum()))
+        return ResidualLevel(replace(grid, setups=setups, tools=tools), int(3 * grid.measured.sum()))
     progress("learning the Gaussian process")
     known = gaussian_from_residuals(
         readings, turned, fit.robot.readings, section.joints, section.frame, where=sets[0].where
     )
     gain = bought(known, readings, turned, row_groups(sets))
     if gain.enters:
-        return ResidualLevel(replace(known, setups=setups), len(known.joints) + 2)
+        return ResidualLevel(replace(known, setups=setups, tools=tools), len(known.joints) + 2)
     without, held = gain
     of = f" ({MOST_JUDGED} of {len(readings)} are looked at)" if len(readings) > MOST_JUDGED else ""
     sentence = (
@@ -79,6 +82,14 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
         f"{without.rms / MM:.3g} mm to {held.rms / MM:.3g} mm, which is not better by more than a standard error."
     )
     return ResidualLevel(None, 0, Finding.warning("gaussian-process-left-out", sentence))
+
+
+def _setups(data: Measurements) -> set[str]:
+    return {data.setups[k] for k in data.setup}
+
+
+def _tools(data: Measurements) -> set[str]:
+    return {data.tools[k] for k in data.tool}
 
 
 def worse(machine: CalibratedMachine, fit: Fit, held_out: Sequence[Measurements]) -> Iterable[Finding]:

@@ -29,7 +29,7 @@ from calib.machine.grid import (
     joint_numbers,
     load_residuals,
     measured_errors,
-    named_setups,
+    named,
     residual_bytes,
 )
 from calib.machine.npz import NotReadableError
@@ -93,7 +93,8 @@ class GaussianResiduals:
     ``readings``: all joints of the robot, in the order of its readings, and ``joints``: numbers of the k that errors
     follow. ``points`` (n, k): where in rad and m the ``errors`` (n, 3) were measured, in m, in the axes of ``frame``.
     ``factor`` (n, n), ``weights`` (n, 3): lower Cholesky factor of the covariance of the rows, and its inverse times
-    the errors. ``turning``: of all joints, or none, whether a whole turn brings them back. ``setups``: as of a grid.
+    the errors. ``turning``: of all joints, or none, whether a whole turn brings them back. ``setups``,
+    ``tools``: as of a grid.
     """
 
     __repr__ = brief
@@ -108,6 +109,7 @@ class GaussianResiduals:
     weights: Array
     turning: tuple[bool, ...] = ()
     setups: tuple[str, ...] = ()
+    tools: tuple[str, ...] = ()
 
     @property
     def rows(self) -> int:
@@ -330,7 +332,7 @@ def gaussian_bytes(known: GaussianResiduals, run: str | None = None) -> bytes:
         "scales": kernel.scales,
         "noise": np.array(kernel.noise),
     }
-    return residual_bytes(known.frame, known.joints, known.readings, arrays | named_setups(known.setups), run)
+    return residual_bytes(known.frame, known.joints, known.readings, arrays | named(known.setups, known.tools), run)
 
 
 def load_gaussian(path: str | Path, robot_readings: Sequence[Reading] | None = None) -> GaussianResiduals:

@@ -36,7 +36,7 @@ _MOST_NODES = 10_000_000
 _MOST_JOINTS = 8
 SCHEMA = 1
 _RUN = "run"  # in files of results
-_SETUPS = "setups"
+_SETUPS, _TOOLS = "setups", "tools"
 _KEYS = ("schema", "frame", "joints", "dimensions", "reference", "axes", "lengths", "errors", "measured")
 
 
@@ -61,8 +61,8 @@ class SectorGrid:
     spans, each with its nodes in ``axes``, ascending, in rad or m. ``reference`` (nr): where the other joints stood;
     NaN for those of the grid. ``errors`` (n_1, ..., n_k, 3): in m, in the axes of ``frame``; where ``measured``
     (n_1, ..., n_k) is false, those of the nearest measured node. ``turning``: of all joints, or none, whether a whole
-    turn brings them back; their readings are inside if they are so some whole turns away. ``setups``: of a machine with
-    several, the names of those in which the errors were measured.
+    turn brings them back; their readings are inside if they are so some whole turns away. ``setups``,
+    ``tools``: of a machine with several, the names of those in which, and with which, the errors were measured.
     """
 
     __repr__ = brief
@@ -76,6 +76,7 @@ class SectorGrid:
     frame: Frame
     turning: tuple[bool, ...] = ()
     setups: tuple[str, ...] = ()
+    tools: tuple[str, ...] = ()
 
     @property
     def rows(self) -> int:
@@ -403,12 +404,12 @@ def grid_bytes(grid: SectorGrid, run: str | None = None) -> bytes:
         "errors": grid.errors,
         "measured": grid.measured,
     }
-    return residual_bytes(grid.frame, grid.joints, grid.readings, arrays | named_setups(grid.setups), run)
+    return residual_bytes(grid.frame, grid.joints, grid.readings, arrays | named(grid.setups, grid.tools), run)
 
 
-def named_setups(setups: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
-    """Return what a file tells of the set-ups of a residual model: nothing where there is but one."""
-    return {_SETUPS: np.array(setups)} if setups else {}
+def named(setups: Sequence[str], tools: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
+    """Return what a file tells of the set-ups and the tools of a residual model: nothing where there is but one."""
+    return {key: np.array(names) for key, names in ((_SETUPS, setups), (_TOOLS, tools)) if names}
 
 
 def residual_bytes(
@@ -459,9 +460,10 @@ def load_residuals(
     """Read a residual model of these ``keys``. ``names``: what it is, and what it is of a robot, for messages."""
     data = read_bytes(Path(path), OutputError, LARGEST_FILE)
     try:
-        arrays = arrays_of(data, keys, (_RUN, _SETUPS))
-        run, setups = _run_in(arrays.pop(_RUN, None)), _setups_in(arrays.pop(_SETUPS, None))
-        known = replace(made(arrays), setups=setups)
+        arrays = arrays_of(data, keys, (_RUN, _SETUPS, _TOOLS))
+        run = _run_in(arrays.pop(_RUN, None))
+        setups, tools = (_names_in(arrays.pop(key, None), key) for key in (_SETUPS, _TOOLS))
+        known = replace(made(arrays), setups=setups, tools=tools)
     except NotReadableError as e:
         raise OutputError(f"{path}: is not {names[0]} of this toolkit: {e}.") from e
     if robot_readings is not None and known.readings != tuple((r.name, r.dimension) for r in robot_readings):
@@ -479,10 +481,10 @@ def _run_in(array: npt.NDArray[Any] | None) -> str | None:
     return None if array is None else str(array)
 
 
-def _setups_in(array: npt.NDArray[Any] | None) -> tuple[str, ...]:
-    """Return the set-ups that a residual model names. Raises NotReadableError for what are no names."""
+def _names_in(array: npt.NDArray[Any] | None, key: str) -> tuple[str, ...]:
+    """Return the set-ups or tools that a residual model names. Raises NotReadableError for what are no names."""
     if array is not None and (array.ndim != 1 or array.dtype.kind != "U"):
-        raise NotReadableError(f"{_SETUPS} has a wrong type")
+        raise NotReadableError(f"{key} has a wrong type")
     return () if array is None else tuple(str(name) for name in array)
 
 

@@ -21,6 +21,10 @@ class ResidualModel(Protocol):
         """Of a machine with several, the names of the set-ups in which the errors were measured."""
 
     @property
+    def tools(self) -> tuple[str, ...]:
+        """Of a machine with several, the names of the tools with which the errors were measured."""
+
+    @property
     def rows(self) -> int:
         """How many measured rows are gone through for every vector."""
 

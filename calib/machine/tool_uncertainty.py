@@ -161,9 +161,9 @@ class _View:
         self._tips = TipModel(machine.robot, machine.deviations)
         self._layout, self._state = machine.layout, machine.state
 
-    def of(self, machine: CalibratedMachine) -> "_View":
-        """Return the same of another machine."""
-        return _View(machine, self.tool, base=self.base, tool_pose=self._tool_pose)
+    def of(self, machine: CalibratedMachine, tool: str) -> "_View":
+        """Return the same of another machine, and of another tool."""
+        return _View(machine, tool, base=self.base, tool_pose=self._tool_pose)
 
     def at(self, readings: Array, conditions: Conditions) -> "_Seen":
         """Return how the tip moves at readings (N, nr). Raises as :meth:`Robot.motion` does."""
@@ -251,20 +251,24 @@ class _Errors:
         if self._measured is self:
             found[:, :3] *= lean.unknown[:, None, None]
         elif (lean.unknown != 1.0).any():
-            # What base and load of this set-up err by was not measured in the other one.
+            # What base and load of this set-up, or this tool, err by was not measured with the others.
             there = self._measured.view.at(readings, conditions)
             measured = np.swapaxes(there.axes(model), 1, 2) @ self._measured._of_kinematics(there)[0][:, :3]
             found[:, :3] -= seen.axes(model) @ (measured * (1.0 - lean.unknown)[:, None, None])
         return found, unseen
 
     def _where_measured(self) -> "_Errors":
-        """Return the errors in the set-up where a residual model was measured, if it is another one than this."""
-        machine = self.view.machine
-        setups = () if machine.residual_model is None else machine.residual_model.setups
-        if machine.setup in setups or not setups or setups[0] not in machine.bases:
+        """Return the errors where a residual model was measured, if it was in another set-up or with another tool."""
+        machine, tool = self.view.machine, self.view.tool
+        model = machine.residual_model
+        if model is None:
             return self
-        other = replace(machine.at(setups[0]), residual_model=None)
-        return _Errors(self.view.of(other), other.known_uncertainty)
+        setup = machine.setup if machine.setup in model.setups else next(iter(model.setups), machine.setup)
+        there = tool if tool in model.tools else next(iter(model.tools), tool)
+        if (setup, there) == (machine.setup, tool) or setup not in machine.bases or there not in machine.tools:
+            return self
+        other = replace(machine.at(setup), residual_model=None)
+        return _Errors(self.view.of(other, there), other.known_uncertainty)
 
     def _of_kinematics(self, seen: _Seen) -> tuple[Array, Array]:
         found, unseen = seen.motions(self._changes)

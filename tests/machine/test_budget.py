@@ -354,11 +354,27 @@ def test_errors_measured_in_one_set_up_leave_those_of_another(kind: str, tmp_pat
     assert own < 0.2 * apart
     assert other == pytest.approx(apart, rel=0.2)
     # And a file tells it.
-    named = replace(model, setups=(first, "few"))
+    named = replace(model, setups=(first, "few"), tools=("ball",))
     path = tmp_path / "known.npz"
     path.write_bytes(gaussian_bytes(named) if isinstance(named, GaussianResiduals) else grid_bytes(named))
     read = (load_gaussian if kind == "process" else load_grid)(path, fit.robot.readings)
-    assert read.setups == (first, "few")
+    assert (read.setups, read.tools) == ((first, "few"), ("ball",))
+
+
+def test_errors_measured_with_one_tool_leave_those_of_another() -> None:
+    fit, *_ = fitted(off=waving)
+    (data,) = fit.measurements
+    both = calib.identify(fit.model, [data, data.subset(np.arange(6)).named(tool="few")])
+    plain, rows = machine_of(both), np.random.default_rng(1).uniform(-1.0, 1.0, (300, 6))
+    model = gaussian_from_residuals(rows, 2e-4 * np.sin(rows[:, :3]), fit.robot.readings)
+
+    def error(tools: tuple[str, ...]) -> float:
+        machine = replace(plain, residual_model=replace(model, tools=tools))
+        return float(np.linalg.norm(tool_errors(machine, rows[:1], "few")[:, :3]))
+
+    apart = np.linalg.norm(tool_errors(plain, rows[:1], "few")[:, :3] - tool_errors(plain, rows[:1])[:, :3])
+    assert error(("few",)) == error(("few", "tool")) < 0.2 * apart
+    assert error(("tool",)) == pytest.approx(apart, rel=0.2)
 
 
 def test_what_a_process_over_some_joints_scatters_by_moves_the_tool() -> None:
