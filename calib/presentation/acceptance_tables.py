@@ -17,6 +17,8 @@ from calib.presentation.sheets import SHOWN, figures_in, signed
 _SURELY = 1.5
 # Three shifts and three turns.
 _ALL_DIRECTIONS = 6
+# Tips that differ by so many times of what is stated do so by no chance, of however few parameters.
+_FAR = 3.0
 
 
 def verification_sheet(found: Verification) -> Sheet:
@@ -126,6 +128,11 @@ def comparison_sentences(found: Comparison) -> tuple[str, ...]:
         verdict = f"Moved by more than chance: {', '.join(moved)}."
     elif found.moved:
         verdict = "The machine has changed, though no single parameter shows it."
+    elif found.statistic is None and found.tip_rms > _FAR * found.stated:
+        verdict = (
+            "No parameter that both have identified has moved, but the tips differ by more than the uncertainty of "
+            "both explains: the machine has changed, or one of the two models leaves out what the other has."
+        )
     else:
         verdict = "Nothing has moved by more than the uncertainty of both explains."
     return together, at_tip, verdict

@@ -18,7 +18,7 @@ from calib.foundations.errors import MeasurementError
 from calib.machine.grid import Leaning, grid_from_residuals
 from calib.machine.of_fit import machine_of
 from calib.machine.residual_model import ResidualModel
-from calib.presentation.acceptance_tables import verification_lines
+from calib.presentation.acceptance_tables import comparison_sentences, verification_lines
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.urdf import parse_urdf
 from tests.support import machines, trees
@@ -377,6 +377,9 @@ def test_calibrations_that_free_different_parameters_are_compared_at_the_tip() -
     found = compare(machine_of(calibrated(true, 1)), machine_of(calib.identify(some, seen(true, 60, 2))))
     assert (found.statistic, found.probability) == (None, None)
     assert found.tip_rms > 5e-4
+    said = replace(found, changes=())
+    assert "the tips differ by more than the uncertainty" in comparison_sentences(said)[-1]
+    assert comparison_sentences(replace(said, tip_rms=found.stated))[-1].startswith("Nothing has moved")
 
 
 @pytest.mark.parametrize("policy", ["minimal", "nearest"])
