@@ -131,6 +131,7 @@ def test_shifts_of_a_grid_belong_to_the_prediction() -> None:
             return np.zeros((len(readings), 0))
 
         frame = "base"
+        setups = tools = ()
 
     shifted = replace(data, position=data.position + 1e-3 * u.base[:3, 0])
     known = replace(u, residual_model=AlongTheBase())
