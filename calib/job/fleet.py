@@ -19,6 +19,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 from unicodedata import normalize
+from uuid import uuid4
 
 from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import LARGEST_JSON, name_as_text, read_bytes, sha256
@@ -38,6 +39,9 @@ _PATIENCE = 20.0
 _LOOK = 1.0
 # As a shell has it.
 _BY_SIGNAL = 128
+# The folder in which a process is, and its threads of linear algebra, are those of all its jobs; a worker of Dask takes
+# as many at once as it has threads.
+_ALONE = threading.Lock()
 _DIED = "{}: its process died; the memory may not suffice."
 _GONE = "{}: the Dask scheduler is gone; what is finished is kept."
 # A job that is called so, as those in robots/ are, says nothing of its arm; its folder does.
@@ -259,7 +263,8 @@ def _on_worker(job: FleetJob, folder: str, version: str) -> Done:
         return Done(
             job, f"{job.path}: its worker has version {__version__} of this tool, not {version}; install it there."
         )
-    return _one(job, folder)
+    with _ALONE:
+        return _one(job, folder)
 
 
 @contextmanager
@@ -416,9 +421,10 @@ def _on_cluster(client: Any, address: str, jobs: Sequence[FleetJob]) -> Generato
     """
     from distributed import CancelledError, wait  # noqa: PLC0415 - an optional dependency
 
-    folder = str(Path.cwd())
+    # What has the key of something that is there already is not run: other fleets have jobs of the same names.
+    folder, own = str(Path.cwd()), uuid4().hex
     waiting = {
-        client.submit(_on_worker, job, folder, __version__, pure=False, key=f"calib-{k}-{job.name}"): job
+        client.submit(_on_worker, job, folder, __version__, pure=False, key=f"calib-{own}-{k}-{job.name}"): job
         for k, job in enumerate(jobs)
     }
     last_seen = time.monotonic()

@@ -6,6 +6,7 @@ import io
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -34,7 +35,7 @@ from calib.presentation.tables import plain, sheet_table
 from tests.support.cases import JOB, TABLE, by_another_machine, copy_case, edit, run, tree
 
 MAIN = "from calib.cli import main; main()"
-QUIET = {"dashboard_address": None, "silence_logs": 50}
+QUIET = {"dashboard_address": "127.0.0.1:0", "silence_logs": 50}
 GOOD = ("plain.toml", "fewer.toml")
 BAD = 'jobs/bad.toml: error_model.offsets: \'al\' is not "all", "none" or a list of names.'
 
@@ -456,6 +457,46 @@ def test_on_a_dask_cluster_the_same_bytes(folder: Path) -> None:
     for name in ("plain", "fewer"):
         assert run("calibrate", f"jobs/{name}.toml", "-o", f"single/{name}", "-q").code == 0
         assert tree(folder / "fleet" / name) == tree(folder / "single" / name)
+
+
+def test_two_fleets_on_one_cluster_have_their_own_results(folder: Path) -> None:
+    """Also where their jobs have the same names and the second begins while those of the first one wait."""
+    distributed = pytest.importorskip("distributed")
+    others = Path(shutil.copytree(folder / "jobs", folder / "others"))
+    (others / "plain.toml").write_bytes((others / "fewer.toml").read_bytes())
+    first = fleet_jobs([Path("jobs") / name for name in GOOD], Path("one"))
+    second = fleet_jobs([Path("others") / name for name in GOOD], Path("two"))
+    ended: list[Done] = []
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, host="127.0.0.1", **QUIET) as cluster:
+
+        def begin(_: str) -> None:
+            if not ended:
+                ended.extend(run_fleet(second, dask=cluster.scheduler_address))
+
+        found = run_fleet(first, dask=cluster.scheduler_address, progress=begin)
+    assert [(done.job, done.failure) for done in (*found, *ended)] == [(job, None) for job in (*first, *second)]
+    assert all(map(unchanged, (*first, *second)))
+
+
+def test_a_worker_with_many_threads_runs_one_job_at_a_time(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Relative paths would lead to the files of another fleet, as a process is in one folder with all its threads."""
+    (job,) = fleet_jobs([Path("jobs/plain.toml")], folder / "all")
+    seen: list[tuple[str, str]] = []
+
+    def slow(path: Path, *_: object, meant: Path) -> tuple[Any, Any]:
+        before = Path.cwd()
+        time.sleep(0.3)
+        seen.append((str(before), str(Path.cwd())))
+        return SimpleNamespace(origin=SimpleNamespace(hashes={})), None
+
+    monkeypatch.setattr(fleets, "calibrated", slow)
+    places = [str(folder / "jobs"), str(folder)]
+    threads = [threading.Thread(target=fleets._on_worker, args=(job, to, fleets.__version__)) for to in places]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(seen) == sorted((to, to) for to in places)
 
 
 def test_a_worker_of_another_version_writes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
