@@ -25,6 +25,7 @@ import pytest
 
 from calib.foundations import files
 from calib.foundations.errors import JobError, OutputError
+from calib.foundations.version import __version__
 from calib.job import fleet as fleets
 from calib.job.fleet import Done, FleetJob, fleet_jobs, run_fleet, unchanged
 from calib.job.fleet_summary import fleet_lines, write_summary
@@ -491,7 +492,7 @@ def test_a_worker_with_many_threads_runs_one_job_at_a_time(folder: Path, monkeyp
 
     monkeypatch.setattr(fleets, "calibrated", slow)
     places = [str(folder / "jobs"), str(folder)]
-    threads = [threading.Thread(target=fleets._on_worker, args=(job, to, fleets.__version__)) for to in places]
+    threads = [threading.Thread(target=fleets._on_worker, args=(job, to, __version__)) for to in places]
     for thread in threads:
         thread.start()
     for thread in threads:
