@@ -5,9 +5,12 @@ they are too wide: an arm whose visible lengths are off by half a millimetre has
 all translations of links, all their rotations and all joint offsets are taken to be alike, and those that show teach
 the likeliest width (:mod:`calib.identification.widths`) of those that do not. A stated prior is taken at its word. A
 tool point that poses do not show is held narrowly for the sake of the search alone, and may be as far as tools are.
+
+So far away the null space bends: a tool may be anywhere on a circle about the axis that turns it, and is moved towards
+the axis as it goes along the tangent. Where residuals notice that, a Gauss-Newton step from there says by how much.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,10 +18,12 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
+from calib.foundations.errors import PoseError
 from calib.foundations.linear import one_thread, svd, triangle
-from calib.identification.arrow import Arrow
+from calib.identification.arrow import Arrow, Inverse
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.parameters import Parameter, scales
+from calib.identification.system import Problem, evaluate, residuals
 from calib.identification.widths import POWER, NormalEquations, likeliest_widths, likelihood
 
 # Directions of a group that the data must see, given weak priors, before they may teach a width: else it stays weak.
@@ -28,6 +33,10 @@ _FEWEST = 3.0
 _IN_SUMS = 0.25
 # Normal equations hold half of a double's digits, as in :mod:`calib.identification.learned`.
 _MOST_INFORMATION = 1e10
+# Whitened residuals that change by less, in sum, move no parameter by more than that share of its sigma.
+_NOTICED = 0.3
+# So many rows of a set tell whether that is so.
+_ENOUGH_ROWS = 500
 # Singular values below this share of the largest are rounding.
 _SINGULAR = 1e-14
 
@@ -36,19 +45,20 @@ _SINGULAR = 1e-14
 class AlongNullSpace:
     """What ``values`` (p,) in SI units may be off by along ``null_basis`` (p, k), scaled; found when asked for.
 
-    ``rows``: the data's, whitened, at the values.
+    ``problem``: what they solve, by ``sigmas`` (N, d) of every set. ``rows``: the data's, whitened, at the values.
     """
 
     __repr__ = brief
 
     null_basis: Array
     rows: Arrow
-    parameters: tuple[Parameter, ...]
+    problem: Problem
     values: Array
+    sigmas: tuple[Array, ...]
 
     @cached_property
     def factor(self) -> Array:
-        """A factor (p, k + 1) of their expected squares, in SI units.
+        """A factor (p, r) of their expected squares, in SI units.
 
         The truth is anywhere along the null space about nominal, as far as parameters may be; and the values are off
         nominal themselves, where curved valleys have led the search. A tool's height that may be wrong by decimetres,
@@ -56,22 +66,62 @@ class AlongNullSpace:
         """
         if not self.null_basis.size:
             return self.null_basis
-        units = scales(self.parameters)
-        centre = np.array([q.centre or 0.0 for q in self.parameters])
-        of_robot = np.array([q.of_robot for q in self.parameters])
+        parameters = self.problem.parameters
+        units = scales(parameters)
+        centre = np.array([q.centre or 0.0 for q in parameters])
+        of_robot = np.array([q.of_robot for q in parameters])
         off = np.where(of_robot, (self.values - centre) / units, 0.0)
         with one_thread():
             widths = self._widths(units)
-        U, s, Wt = svd(self.null_basis / widths[:, None], full_matrices=False)
-        held = s > _SINGULAR * s[0]
-        root = self.null_basis @ (Wt[held].T / s[held])
-        return read_only(units[:, None] * np.column_stack([root, root @ (U[:, held].T @ (off / widths))]))
+            U, s, Wt = svd(self.null_basis / widths[:, None], full_matrices=False)
+            held = s > _SINGULAR * s[0]
+            root = self.null_basis @ (Wt[held].T / s[held])
+            along = units[:, None] * np.column_stack([root, root @ (U[:, held].T @ (off / widths))])
+            return read_only(np.column_stack([along, *self._bent(along)]))
+
+    def _bent(self, along: Array) -> Iterator[Array]:
+        """Yield by how much (p,) the null space bends at what is one standard deviation ``along`` (p, k) it.
+
+        It does so with the square of how far one goes, whose rms is the root of 3.
+        """
+        here, off = None, self._some_residuals()
+        for f in along.T:
+            ends = self.values + f, self.values - f
+            try:
+                if np.linalg.norm(0.5 * sum(map(off, ends)) - off(self.values)) > _NOTICED:
+                    here = self._step(self.values) if here is None else here
+                    yield np.sqrt(3.0) * (0.5 * sum(map(self._step, ends)) - here)
+            except PoseError:  # a loop does not close there, so that the truth is nearer
+                continue
+
+    def _some_residuals(self) -> Callable[[Array], Array]:
+        """Return whitened residuals as a function of values (p,), of many rows some for all."""
+        sets, sigmas = [], []
+        for data, sigma in zip(self.problem.measurements, self.sigmas, strict=True):
+            every = 1 if data.stream is not None else -(-len(data) // _ENOUGH_ROWS)
+            rows = np.arange(0, len(data), every)
+            sets.append(data.subset(rows) if every > 1 else data)
+            sigmas.append(sigma[rows] * np.sqrt(len(rows) / len(data)))
+
+        def found(x: Array) -> Array:
+            all_of_them = residuals(self.problem.model.robot, sets, self.problem.machine(x))
+            return np.concatenate([(r / sigma).ravel() for r, sigma in zip(all_of_them, sigmas, strict=True)])
+
+        return found
+
+    def _step(self, x: Array) -> Array:
+        """Return the Gauss-Newton step (p,) from x (p,), what the data hardly see staying where it is."""
+        parameters = self.problem.parameters
+        rows = evaluate(self.problem, self.sigmas, x, self.rows.split).rows.whole
+        hold = np.array([parameter.hold for parameter in parameters])
+        return scales(parameters) * Inverse.of(rows.held(hold, np.zeros(len(hold))), _SINGULAR).step
 
     def _widths(self, units: Array) -> Array:
         """Return the widths (p,) of all parameters, in their scales."""
-        found, common = np.array([q.width / q.scale for q in self.parameters]), self.rows.split.common
+        parameters = self.problem.parameters
+        found, common = np.array([q.width / q.scale for q in parameters]), self.rows.split.common
         left = self.rows.reduced(RANK_TOLERANCE).rest
-        likely = [self.parameters[k] for k in common]
+        likely = [parameters[k] for k in common]
         found[common] = likely_widths(likely, -left[:, :-1], left[:, -1], (self.values / units)[common], POWER)
         return found
 

@@ -662,6 +662,10 @@ class Nominals(dict[Robot, Nominal]):
         self[robot] = Nominal(robot)
         return self[robot]
 
+    def __reduce__(self) -> tuple[type["Nominals"], tuple[()]]:
+        """Leave out what is made again when it is asked for."""
+        return type(self), ()
+
 
 def refuse_other_deviations(robot: Robot, d: Deviations) -> None:
     """Raise RobotError for deviations of another arm: there is one for each of what this one has."""

@@ -1,15 +1,18 @@
 """A flange that hardly turns: the tool stays near its start, predictions hold, and a sentence says what is not seen."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calib
 from calib.assessment.advice import advice
 from calib.foundations import rigid
 from calib.identification.observability import rank_findings
 from calib.identification.parameters import width
+from calib.robot.urdf import parse_urdf
 from scripts.development.judge_one_orientation import SCENARIOS, judge
 from scripts.studies import sigmas
 from tests.support import machines
@@ -188,3 +191,32 @@ def test_what_only_products_of_small_parameters_show_is_in_a_minimal_set(which: 
     assert minimal.numerical_rank <= len(minimal.parameters) <= minimal.rank
     assert len(nearest.null_space) == len(nearest.parameters) - nearest.numerical_rank
     assert "tool.z" not in [parameter.name for parameter in minimal.held]
+
+
+TURNTABLE = """<robot name="turntable"><link name="base"/><link name="tip"/><joint name="axis" type="revolute">
+<parent link="base"/><child link="tip"/><origin xyz="0 0 0.3"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
+
+
+def test_a_point_that_may_be_anywhere_on_a_circle_is_not_told_by_its_tangent() -> None:
+    """One axis, and a base that may be turned about it: a point on the x axis has its radius for x, to 50 um."""
+    robot = calib.load_robot(parse_urdf(TURNTABLE.encode(), "turntable.urdf"), "tip")
+    told = 0
+    for seed in range(30):
+        rng = np.random.default_rng([seed, 21])
+        q, point = rng.uniform(-3.0, 3.0, 20), np.array([0.2, 0.05, 0.1]) + rng.normal(scale=0.02, size=3)
+        base = machines.anywhere(rng)
+        turned = np.stack([Rotation.from_rotvec([0.0, 0.0, angle]).apply(point) for angle in q])
+        seen = (
+            (turned + np.array([0.0, 0.0, 0.3])) @ base[:3, :3].T + base[:3, 3] + rng.normal(scale=5e-5, size=(20, 3))
+        )
+        columns = {"axis [rad]": q} | {f"{axis} [m]": seen[:, k] for k, axis in enumerate("xyz")}
+        data = calib.read_measurements(columns, robot, "position", sigma=5e-5)
+        fit = pickle.loads(pickle.dumps(calib.identify(calib.error_model(robot), data)))
+        for name, true, sigma in zip(("tool.x", "tool.y"), point[:2], fit.sigmas[-3:-1], strict=True):
+            if not np.isnan(sigma):
+                told += 1
+                assert 0.05 < sigma < 0.3
+                assert abs(fit.value(name) - true) < 4.0 * sigma
+    # By their tangents alone some of these are 10 to 400 sigmas off.
+    assert told > 2
