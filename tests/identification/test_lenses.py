@@ -204,7 +204,7 @@ def test_a_stated_prior_counts_and_stays_about_what_was_given() -> None:
 
     free, stated = found({}), found({"fx": 2.0, "k1": 0.01})
     for name, sigma in (("lens.fx", 2.0), ("lens.k1", 0.01)):
-        assert stated[name][1] < min(free[name][1], 1.01 * sigma)  # a hundredth is of the null space
+        assert stated[name][1] < min(free[name][1], 1.05 * sigma)  # the rest is of the null space
         assert abs(stated[name][0] - BENT[name.removeprefix("lens.")]) < 4.0 * stated[name][1]
     held = found({"fx": 1e-3})
     assert held["lens.fx"][0] == pytest.approx(off.fx, abs=5e-3)
