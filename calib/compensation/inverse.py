@@ -22,6 +22,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.residual_model import ResidualModel
 from calib.robot.conditions import Conditions
 from calib.robot.robot import Reading, TipModel
+from calib.robot.terms import kind_of
 
 _MOST_STEPS = 60
 _MOST_REFINEMENTS = 40
@@ -34,10 +35,14 @@ _SOUND = 1e-5
 # How often the machine may be looked at for N targets: a row of positions without a start needs some twenty looks, of a
 # few microseconds each; one that cannot be reached, several hundreds. With readings to start from, half a dozen.
 _LOOKS, _LOOKS_PER_ROW, _LOOKS_FROM_READINGS = 500_000, 24, 12
-# What these cost is bounded where a look costs more: so many looks at an arm without loops.
+# What these cost is bounded where a look costs more: so many looks at an arm of six readings, without loops or terms.
 _MOST_SPENT = 2_500_000
-# What a look costs, in looks at an arm without loops: more for every loop, and for so many rows of a Gaussian process.
+# What a look costs, in looks at such an arm: more for every loop, and for so many rows of a Gaussian process.
 _OF_A_LOOP, _ROWS_OF_ONE = 6.0, 130.0
+# Once more for so many terms, for so many ways in which links give way, and for so many joints that are weighed; more
+# with the square of the readings beyond those of an arm.
+_TERMS_OF_ONE, _FLEXURES_OF_ONE, _WEIGHED_OF_ONE = 60.0, 6.0, 6.0
+_READINGS, _READINGS_OF_ONE = 6, 20.0
 # And where fewer than half of those tried so far are reached: of some thousand targets it is more than they may take.
 _LOOKS_OF_HOPELESS = 800_000
 # Newton doubles the digits: where a thousandth of the tolerance is reached, the rest is rounding.
@@ -59,9 +64,12 @@ _NEAREST = 1e-9
 _NO_NEARER = 1e-7
 # A search that comes nearer by less than this share so often in a row ends: there is nothing nearer.
 _HARDLY_NEARER, _IN_A_ROW = 1e-3, 5
-_BLOCK = 4096
+# So many rows are searched for at once; fewer where a look costs more and not all can be, and no fewer than these.
+_BLOCK, _LEAST_BLOCK = 4096, 64
 # Said of rows that the effort did not suffice for.
 _CUT_SHORT = "; the search was cut short, as many targets took long: give readings to start from, or fewer targets"
+
+_NOT_TRIED = f"was not looked for{_CUT_SHORT}"
 
 
 # ---- what is asked
@@ -98,8 +106,8 @@ class Effort:
     """Counts how often the machine is looked at for N targets, so that what cannot be reached ends in time.
 
     ``left`` is what the rows of now may still take; ``reserve`` keeps their share for others that come after them.
-    ``price``: what a look costs, in looks at an arm without loops. With readings ``to_start`` from every target has
-    what it needs; without them, where a look costs more, the first targets have it.
+    ``price``: what a look costs, as :func:`price` tells. With readings ``to_start`` from every target has what it
+    needs; without them, where a look costs more, the first targets have it, searched for in smaller blocks.
     """
 
     def __init__(self, targets: int, price: float = 1.0, *, to_start: bool = False) -> None:
@@ -108,6 +116,7 @@ class Effort:
         self._left = max(least * targets, min(wanted, int(max(_MOST_SPENT, wanted) / price)))
         self._share = _LOOKS_PER_ROW if self._left >= _LOOKS_PER_ROW * targets else least
         self._reserved = self._spent = self._tried = self._reached = 0
+        self.block = _BLOCK if self._share else max(_LEAST_BLOCK, int(_BLOCK / price))
 
     def reserve(self, targets: int) -> None:
         """Keep the share of so many targets for later."""
@@ -124,6 +133,11 @@ class Effort:
         self._reached += reached
 
     @property
+    def over(self) -> bool:
+        """Whether nothing is left for any rows."""
+        return self._left <= 0
+
+    @property
     def spent(self) -> bool:
         """Whether nothing is left for the rows of now."""
         hopeless = 2 * self._reached < self._tried and self._spent > _LOOKS_OF_HOPELESS
@@ -131,9 +145,12 @@ class Effort:
 
 
 def price(model: CalibratedMachine, residuals: ResidualModel | None) -> float:
-    """Return what a look at a machine costs, in looks at an arm without loops."""
-    rows = 0 if residuals is None else residuals.rows
-    return 1.0 + _OF_A_LOOP * len(model.robot.loops) + rows / _ROWS_OF_ONE
+    """Return what a look at a machine costs, in looks at an arm of six readings, without loops or terms."""
+    robot, rows = model.robot, 0 if residuals is None else residuals.rows
+    weighed = len(robot.moving) if any(kind_of(term).masses != "none" for term in robot.terms) else 0
+    giving = len(robot.terms) / _TERMS_OF_ONE + len(robot.flexures.every) / _FLEXURES_OF_ONE + weighed / _WEIGHED_OF_ONE
+    more = max(len(robot.readings) - _READINGS, 0) / _READINGS_OF_ONE
+    return 1.0 + _OF_A_LOOP * len(robot.loops) + rows / _ROWS_OF_ONE + giving + more**2
 
 
 def limits(readings: Sequence[Reading]) -> tuple[Array, Array]:
@@ -236,11 +253,14 @@ def solve(model: CalibratedMachine, asked: Asked, how: How, effort: Effort | Non
             f"{_LARGEST_TOLERANCE:g} (m and rad)."
         )
     with one_thread(of_scipy=False):
-        rows = np.array_split(np.arange(len(asked.start)), max(1, -(-len(asked.start) // _BLOCK)))
+        rows = np.array_split(np.arange(len(asked.start)), max(1, -(-len(asked.start) // effort.block)))
         blocks = []
         for block in rows:
             effort.reserve(len(asked.start) - int(block[-1]) - 1 if len(block) else 0)
             own = asked.subset(block)
+            if len(block) and effort.over:
+                blocks.append(_left_out(own))
+                continue
             found = _solve_block(model, own, how, effort)
             effort.told(own.refused.count(""), int(np.count_nonzero(found.reached)))
             blocks.append(found)
@@ -254,6 +274,13 @@ def cut_short(found: Corrections, refused: Sequence[str]) -> Corrections:
         for why, reached, never in zip(found.reasons, found.reached.tolist(), refused, strict=True)
     )
     return replace(found, reasons=reasons)
+
+
+def _left_out(asked: Asked) -> Corrections:
+    """Return what there is to say of rows that are not looked for, as nothing of the effort is left."""
+    none, error = np.full(asked.start.shape, np.nan), np.full(len(asked.start), np.nan)
+    reached, steps = np.zeros(len(error), dtype=np.bool_), np.zeros(len(error), dtype=np.intp)
+    return Corrections(none, none, reached, error, error, tuple(why or _NOT_TRIED for why in asked.refused), steps)
 
 
 def _solve_block(model: CalibratedMachine, asked: Asked, how: How, effort: Effort) -> Corrections:

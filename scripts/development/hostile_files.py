@@ -748,6 +748,19 @@ def _positions_of_a_loop(folder: Path, size: int) -> None:
     shutil.copytree(_results("irb2400"), folder / _RESULTS)
 
 
+def _positions_of_terms(folder: Path, size: int) -> None:
+    """Write positions, and give the machine as many harmonics as fit, which no uncertainty knows."""
+    _positions(folder, size)
+    path = folder / _RESULTS / "model.json"
+    model = json.loads(path.read_text(encoding="utf-8"))
+    model["terms"] = [
+        {"reading": f"joint_{k // 1000 + 1}", "kind": "cos", "order": k % 1000 + 1, "coefficient": 0.0}
+        for k in range(min(size // 80, 6000))
+    ]
+    path.write_text(json.dumps(model), encoding="utf-8")
+    (path.parent / "uncertainty.json").unlink()
+
+
 def _poses(folder: Path, size: int) -> None:
     """Write poses that the arm can hardly reach: of one orientation, about the end of its links."""
     (folder / "targets.csv").write_text(
@@ -1426,9 +1439,7 @@ HOSTILE: dict[str, Hostile] = {
     "joints of a model": _model(
         "joints", lambda k: {"name": f"j{k}", "type": "fixed", "deviation": [0.0] * 6, "offset": None}, _COMPENSATE
     ),
-    "terms of a model": _model(
-        "terms", lambda k: {"reading": "joint_1", "kind": "cosine", "order": k + 1, "coefficient": 0.0}, _COMPENSATE
-    ),
+    "positions of a machine of many terms": Hostile(_positions_of_terms, _COMPENSATE),
     "packed grid": _packed("grid.npz", _COMPENSATE),
     "packed process": _packed("gaussian.npz", _COMPENSATE),
     **_OTHERS,

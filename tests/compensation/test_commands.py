@@ -460,6 +460,41 @@ def test_looks_cost_more_with_loops_and_with_the_rows_of_a_gaussian_process() ->
     assert inverse.price(arm, process) == 11.0
 
 
+def test_looks_cost_more_with_terms_and_with_readings() -> None:
+    """What a look took was measured: each of these within two thirds and twice of it."""
+    model = model_of(robot_of("ur10"))
+    names = [reading.name for reading in model.robot.readings]
+
+    def of(*terms: JointTerm) -> float:
+        own = replace(model.deviations, terms=np.zeros(len(terms)))
+        return inverse.price(replace(model, robot=replace(model.robot, terms=terms), deviations=own), None)
+
+    assert of(*(JointTerm(names[1], "cos", k + 1) for k in range(600))) == 11.0
+    assert of(*(JointTerm(name, "elastic") for name in names)) == pytest.approx(2.1)
+    assert 5.0 < of(*(JointTerm(name, "bending") for name in names[1:])) < 8.0
+
+
+def test_targets_for_which_nothing_is_left_are_not_looked_for() -> None:
+    """The first ones are reached, and the others say why not: each would else be looked at a few times."""
+    model = model_of(robot_of("ur10"))
+    q = np.random.default_rng(3).uniform(-1.0, 1.0, (600, 6))
+    poses, conditions = model.tips(q) @ model.tools["tool"], Conditions()
+    how = inverse.How("position", None, False, (1e-6, 1e-6), 1.0)
+    asked = inverse.Asked(poses, np.broadcast_to(model.tools["tool"], (600, 4, 4)), q + 0.01, ("",) * 600, conditions)
+    looked: list[int] = []
+
+    class Few(inverse.Effort):
+        def spend(self, looks: int) -> None:
+            looked.append(looks)
+            super().spend(looks)
+
+    found = inverse.solve(model, asked, how, Few(600, 2000.0))
+    assert sum(looked) < 2000
+    assert found.reached[:64].all() and not found.reached[-64:].any()
+    assert found.reasons[-1].startswith("was not looked for; the search was cut short")
+    assert np.isnan(found.position_error[-1])
+
+
 def test_limits() -> None:
     robot = machines.load(machines.INLINE["negative"], "tip")
     offsets = np.zeros(6)
