@@ -86,11 +86,12 @@ class AlongNullSpace:
         """
         parameters = self.problem.parameters
         held = np.array([0.0 if q.prior is None else 1.0 / q.prior for q in parameters])
-        here, off = None, self._some_residuals()
+        here, residuals_at = None, self._some_residuals()
+        straight = residuals_at(self.values)
         for f in along.T:
             ends = self.values + f, self.values - f
             try:
-                if np.linalg.norm(0.5 * sum(map(off, ends)) - off(self.values)) > _NOTICED:
+                if _NOTICED < np.linalg.norm(0.5 * sum(map(residuals_at, ends)) - straight) < np.inf:
                     here = self._step(self.values) if here is None else here
                     bent = 0.5 * sum(map(self._step, ends)) - here
                     yield bent * np.sqrt(_mean_fourth_power(float(np.sum((held * bent) ** 2))))
