@@ -7,7 +7,8 @@ the likeliest width (:mod:`calib.identification.widths`) of those that do not. A
 tool point that poses do not show is held narrowly for the sake of the search alone, and may be as far as tools are.
 
 So far away the null space bends: a tool may be anywhere on a circle about the axis that turns it, and is moved towards
-the axis as it goes along the tangent. Where residuals notice that, a Gauss-Newton step from there says by how much.
+the axis as it goes along the tangent. Where residuals notice that, Gauss-Newton steps from there say by how much. One
+step does not do where the tangent leads far: what it leaves unexplained would count as an error of what is well known.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -35,6 +36,11 @@ _IN_SUMS = 0.25
 _MOST_INFORMATION = 1e10
 # Whitened residuals that change by less, in sum, move no parameter by more than that share of its sigma.
 _NOTICED = 0.3
+# So many steps lead back to the valley; else its floor is sought from nearer, by these shares of the way.
+_MOST_STEPS = 4
+_SHARES = (1.0, 0.3, 0.1, 0.03)
+# Changes by less, in parameter scales, are rounding.
+_ALONE = 1e-6
 # So many rows of a set tell whether that is so.
 _ENOUGH_ROWS = 500
 # Singular values below this share of the largest are rounding.
@@ -82,21 +88,39 @@ class AlongNullSpace:
     def _bent(self, along: Array) -> Iterator[Array]:
         """Yield by how much (p,) the null space bends at what is one standard deviation ``along`` (p, k) it.
 
-        It does so with the square of how far one goes. Where stated priors hold what bends, the truth is nearer.
+        It does so with the square of how far one goes; beyond what steps lead back from, it may go on straight, as a
+        circle does at most. Where stated priors hold what bends, the truth is nearer. Where bases and targets move
+        alone, as a base turns about two points that are all of its set-up, nothing else follows.
         """
         parameters = self.problem.parameters
         held = np.array([0.0 if q.prior is None else 1.0 / q.prior for q in parameters])
-        here, residuals_at = None, self._some_residuals()
-        straight = residuals_at(self.values)
-        for f in along.T:
-            ends = self.values + f, self.values - f
-            try:
-                if _NOTICED < np.linalg.norm(0.5 * sum(map(residuals_at, ends)) - straight) < np.inf:
+        others = np.array([parameter.kind not in ("base", "target") for parameter in parameters])
+        moves = np.any(np.abs(along[others]) > _ALONE * scales(parameters)[others, None], axis=0)
+        off = self._some_residuals()
+        at, here = off(self.values), None
+        for f in along.T[moves]:
+            for share in _SHARES:
+                ends = self.values + share * f, self.values - share * f
+                try:
+                    if not _NOTICED < np.linalg.norm(0.5 * sum(map(off, ends)) - at) < np.inf:
+                        break
                     here = self._step(self.values) if here is None else here
-                    bent = 0.5 * sum(map(self._step, ends)) - here
+                    floors = self._floors(ends, off, off(self.values + here))
+                except PoseError:  # a loop does not close there, so that the truth is nearer
+                    continue
+                if floors is not None:
+                    bent = (0.5 * sum(floors) - self.values - here) / share
                     yield bent * np.sqrt(_mean_fourth_power(float(np.sum((held * bent) ** 2))))
-            except PoseError:  # a loop does not close there, so that the truth is nearer
-                continue
+                    break
+
+    def _floors(self, ends: tuple[Array, Array], off: Callable[[Array], Array], at: Array) -> list[Array] | None:
+        """Return where steps lead from both ends (p,), if that is where residuals are those of the valley, ``at``."""
+        floors = list(ends)
+        for _ in range(_MOST_STEPS):
+            floors = [x + self._step(x) for x in floors]
+            if np.linalg.norm(0.5 * sum(map(off, floors)) - at) <= _NOTICED:
+                return floors
+        return None
 
     def _some_residuals(self) -> Callable[[Array], Array]:
         """Return whitened residuals as a function of values (p,), of many rows some for all."""

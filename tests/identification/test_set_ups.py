@@ -116,6 +116,18 @@ def test_the_truth_is_found_from_every_place(cell: Cell) -> None:
         assert misses(fit, cell, setup) < 2.5 * SIGMA
 
 
+@pytest.mark.parametrize(("observes", "tool"), [("position", "tool"), ("pose", "long")])
+def test_two_rows_that_leave_a_base_open_leave_an_arm_as_it_is_known(cell: Cell, observes: str, tool: str) -> None:
+    """Base, and tool with it, may be turned by radians, and no joint is by millimetres because of that."""
+    sets = [cell.measure("left", 40, observes), cell.measure("far", 2, observes, tool)]
+    of_tool = "pose" if observes == "pose" else "position"
+    model = calib.error_model(cell.robot, offsets="all", placements="all", tool=of_tool)
+    fit = calib.identify(model, sets)
+    own = np.array([p.of_robot for p in fit.parameters]) & ~fit.unidentifiable
+    assert own.sum() > 8
+    np.testing.assert_allclose(fit.sigmas[own], np.sqrt(fit.spread.variances[own]), rtol=0.3)
+
+
 def test_tools_that_no_place_shows_by_itself_are_shown_by_all() -> None:
     """Four rows a place, each of another tool, were said to turn the tip too little, and the tools were held."""
     rng = np.random.default_rng(5)
