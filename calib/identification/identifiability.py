@@ -189,21 +189,23 @@ def undetermined(rows: Arrow, of_targets: Split) -> tuple[Array, BoolArray]:
 
     ``of_targets``: of the unknowns of every target by itself, the others being common. Directions are of length one in
     the scales of these others, with targets where they follow best: so which parameters they move depends neither on
-    how many targets move with them, nor on which unknowns ``rows`` have eliminated beside targets.
+    how many targets move with them, nor on which unknowns ``rows`` have eliminated beside targets. A target of which a
+    direction is open is so in all of its unknowns: an anchor of two lengths is anywhere on a circle, which leads out of
+    every plane that it touches.
     """
     reduced = rows.reduced(RANK_TOLERANCE)
     found = directions_of(reduced)
     if np.array_equal(rows.split.common, of_targets.common):
         common = found.null_basis(found.common_rank(NUMERICAL_TOLERANCE))
-        hardly = reduced.vectors * (reduced.singular_values <= NUMERICAL_TOLERANCE)[:, None]
-        moved = rows.split.whole(np.zeros(len(rows.split.common)), np.linalg.norm(hardly, axis=2))
-        return rows.split.whole(common, reduced.follow @ common), moved > MOVED
+        weak = np.any(reduced.singular_values <= NUMERICAL_TOLERANCE, axis=1)
+        alone = np.broadcast_to(weak[:, None], rows.split.blocks.shape)
+        open_ = rows.split.whole(np.zeros(len(rows.split.common), dtype=np.bool_), alone)
+        return rows.split.whole(common, reduced.follow @ common), open_ > 0.0
     alone = np.zeros(rows.split.size, dtype=np.bool_)
     for own in of_targets.blocks:
         of_target = own[own >= 0]
-        _, s, Vt = svd(triangle(rows.columns(of_target)), full_matrices=True)
-        weak = np.append(s, np.zeros(len(of_target) - len(s))) <= NUMERICAL_TOLERANCE
-        alone[of_target] = np.linalg.norm(Vt[weak], axis=0) > MOVED
+        s = np.linalg.svd(triangle(rows.columns(of_target)), compute_uv=False)
+        alone[of_target] = np.count_nonzero(s > NUMERICAL_TOLERANCE) < len(of_target)
     return _undetermined(rows, reduced, found, of_targets.common), alone
 
 

@@ -57,6 +57,23 @@ def session(
     return robot, sets[0], sets[1]
 
 
+def test_of_an_anchor_on_a_circle_nothing_is_told() -> None:
+    """Two lengths leave it anywhere on one: where its tangent lies in a plane of the axes, no coordinate is known."""
+    rng = np.random.default_rng(7)
+    robot, true = machines.load(*UR10), machines.arm(*UR10).moved(rng)
+    places, base, tool = rng.uniform(-2.0, 2.0, (40, 3)), machines.anywhere(rng), machines.pose(TOOL)
+    seen = machines.Machine(true, base, {"tool": tool}).measure(
+        robot, true.draw(rng, 60), "position", points=["tool"] * 60, rng=rng, sigma=SIGMA, sigma_angle=SIGMA
+    )
+    target = np.repeat(np.arange(40), 2)
+    readings = true.draw(rng, len(target))
+    points = (base @ true.tips(readings) @ tool)[:, :3, 3]
+    fit = calib.identify(calib.error_model(robot), [seen, lengths(robot, readings, points, places, target, rng)])
+    of_targets = np.array([parameter.kind == "target" for parameter in fit.parameters])
+    assert fit.unidentifiable[of_targets].all()
+    assert not fit.unidentifiable[~of_targets].any()
+
+
 def test_lengths_find_tool_and_anchors() -> None:
     robot, data, rest = session(60, 8)
     model = calib.error_model(robot, offsets="all", placements="all")
