@@ -36,7 +36,9 @@ _IN_SUMS = 0.25
 _MOST_INFORMATION = 1e10
 # Whitened residuals that change by less, in sum, move no parameter by more than that share of its sigma.
 _NOTICED = 0.3
-# So many steps lead back to the valley; else its floor is sought from nearer, by these shares of the way.
+# Where it is so little, steps have led back to the valley; it makes sigmas a few times too wide at most.
+_LEFT = 10.0 * _NOTICED
+# So many steps lead back; else the valley's floor is sought from nearer, by these shares of the way.
 _MOST_STEPS = 4
 _SHARES = (1.0, 0.3, 0.1, 0.03)
 # Changes by less, in parameter scales, are rounding.
@@ -118,7 +120,7 @@ class AlongNullSpace:
         floors = list(ends)
         for _ in range(_MOST_STEPS):
             floors = [x + self._step(x) for x in floors]
-            if np.linalg.norm(0.5 * sum(map(off, floors)) - at) <= _NOTICED:
+            if np.linalg.norm(0.5 * sum(map(off, floors)) - at) <= _LEFT:
                 return floors
         return None
 
