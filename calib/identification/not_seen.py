@@ -104,8 +104,11 @@ class AlongNullSpace:
             for share in _SHARES:
                 ends = self.values + share * f, self.values - share * f
                 try:
-                    if not _NOTICED < np.linalg.norm(0.5 * sum(map(off, ends)) - at) < np.inf:
+                    noticed = np.linalg.norm(0.5 * sum(map(off, ends)) - at)
+                    if noticed <= _NOTICED:
                         break
+                    if not np.isfinite(noticed):
+                        continue
                     here = self._step(self.values) if here is None else here
                     floors = self._floors(ends, off, off(self.values + here))
                 except PoseError:  # a loop does not close there, so that the truth is nearer
