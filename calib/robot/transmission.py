@@ -31,6 +31,10 @@ class Flexures(NamedTuple):
     of_term: tuple[range, ...]
 
 
+# So many values of bases are made at once, where nobody asks for them: 8000 terms have as many at 125 rows.
+_AT_ONCE = 1_000_000
+
+
 def flexures(terms: Sequence[JointTerm], joints: Sequence[str], segments: Sequence[Segment]) -> Flexures:
     """Return the flexures of a chain, whose ``joints`` are named as its ``segments`` are.
 
@@ -142,6 +146,10 @@ class Transmission:
         straight = np.pad(readings, ((0, 0), (0, flexures))) if flexures else readings
         if not self._coefficients.any():
             return straight
+        at_once = max(1, _AT_ONCE // len(self._coefficients))
+        if bases is None and len(readings) > at_once:
+            blocks = [slice(k, k + at_once) for k in range(0, len(readings), at_once)]
+            return np.concatenate([self.moved(readings[rows], conditions.subset(rows)) for rows in blocks])
         there = self.bases(readings, conditions) if bases is None else bases
         return np.asarray(straight + there.adds @ self._coefficients)
 

@@ -13,6 +13,7 @@ from calib.foundations.errors import JobError, RobotError
 from calib.identification.parameters import TERM_WIDTH
 from calib.job.schema import ErrorModelSection
 from calib.presentation.sheets import SHOWN
+from calib.robot import transmission
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.joint_terms import foreign, ordered, parts
 from calib.robot.robot import Deviations, Robot, TipModel
@@ -47,6 +48,24 @@ def drawn(kind: Kind) -> tuple[Robot, Deviations, Array, Conditions]:
     d = Deviations(placements, np.zeros(len(robot.moving)), 10.0 * sizes * rng.uniform(-1, 1, len(sizes)))
     told = Conditions(rng.choice([-1.0, 1.0], (ROWS, 6)), rng.uniform(10, 30, ROWS), rng.uniform(-50, 50, (ROWS, 6)))
     return robot, d, rng.uniform(-2.0, 2.0, (ROWS, 6)), told.in_time(rng.uniform(0.0, 7200.0, ROWS))
+
+
+@ALL
+def test_many_rows_are_moved_a_part_at_a_time(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else bases of 8000 terms at 20 000 rows are a gigabyte, and another where they are made."""
+    robot, d, readings, conditions = drawn(kind)
+    whole = robot.tips(readings, d, conditions)
+    made: list[int] = []
+    bases = transmission.Transmission.bases
+
+    def seen(own: transmission.Transmission, readings: Array, conditions: Conditions) -> transmission.Bases:
+        made.append(len(readings))
+        return bases(own, readings, conditions)
+
+    monkeypatch.setattr(transmission.Transmission, "bases", seen)
+    monkeypatch.setattr(transmission, "_AT_ONCE", 1)
+    assert np.abs(robot.tips(readings, d, conditions) - whole).max() < 1e-12
+    assert made == [1] * ROWS
 
 
 def test_names_and_keys_are_of_one_kind() -> None:
