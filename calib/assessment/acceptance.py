@@ -41,6 +41,8 @@ _NEARLY_IN_LINE = 1e-6
 _TOGETHER = 300
 # In m or rad: nothing is left of the square of less.
 _LEAST_NOISE = 1e-100
+# What else than columns tells the side of approach of rows by which a machine is verified.
+_IN_ORDER = "; rows in the order of measurement tell it, too: say in_order"
 # Entries of twists of length one that differ by rounding alone.
 _SAME_AXIS = 1e-9
 
@@ -160,7 +162,7 @@ def verify(
     if not len(data):
         raise MeasurementError(f"{data.where}: has no rows to verify by.")
     data = _of_this_machine(machine, data)
-    refuse_lacking(machine.robot, data.conditions, data.where)
+    refuse_lacking(machine.robot, data.conditions, data.where, _IN_ORDER)
     sigma = _sigma(machine, data)
     data.tips(machine.robot, machine.deviations)  # refuses rows whose loops do not close
     as_calibrated = _judged(machine, data, sigma, base=False)

@@ -75,9 +75,11 @@ def _sides(table: Table, name: str) -> Array:
     return np.array([_SIDES[word] for word in said])
 
 
-def refuse_lacking(robot: Robot, conditions: Conditions, where: str) -> None:
-    """Raise MeasurementError where a joint term of the robot needs a condition that rows do not have."""
+def refuse_lacking(robot: Robot, conditions: Conditions, where: str, otherwise: str = "") -> None:
+    """Raise MeasurementError where a joint term of the robot needs a condition that rows do not have.
+
+    ``otherwise``: what else than columns may tell the side of approach of these rows.
+    """
     if missing := lacking(robot.terms, [reading.name for reading in robot.readings], conditions):
         needs = f"there is no column {missing[1]!r}, which {missing[0]} needs"
-        otherwise = "; rows in the order of measurement tell it, too: say in_order" if APPROACH in missing[1] else ""
-        raise MeasurementError(f"{where}: {needs}{otherwise}.")
+        raise MeasurementError(f"{where}: {needs}{otherwise if APPROACH in missing[1] else ''}.")

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from calib.positioner.pivot import pivot
 from calib.presentation.command_tables import performance_sheet
 from calib.presentation.tables import plain, sheet_table
 from calib.results.folder import write_results
+from calib.robot.terms import JointTerm
 
 Array = NDArray[np.float64]
 
@@ -224,6 +226,15 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> calib.CalibratedMachine:
     out = tmp_path_factory.mktemp("arm") / "out"
     write_results(run(load(CASE / "calibration_realistic.toml")), out)
     return calib.load_machine(out)
+
+
+def test_the_side_of_approach_of_touches_is_told_by_columns_alone(model: calib.CalibratedMachine) -> None:
+    """There is nothing to say of their order: the sentence shall not send anybody there."""
+    robot = replace(model.robot, terms=(JointTerm("joint_2", "backlash"),))
+    loose = replace(model, robot=robot, deviations=replace(model.deviations, terms=np.ones(1)), uncertainty=None)
+    with pytest.raises(MeasurementError) as caught:
+        before_and_after(loose, [made(robot, CONE)])
+    assert str(caught.value).endswith("there is no column 'direction_joint_2', which joint_2.backlash needs.")
 
 
 def test_calibration_brings_the_arm_from_centimetres_to_its_encoders(model: calib.CalibratedMachine) -> None:
