@@ -264,3 +264,24 @@ def test_a_problem_counts_a_set_up_without_rows_as_nothing(cell: Cell) -> None:
     problem = Problem(model, model.parameters(("tool",), ("left",)), reference, (data,))
     x = np.zeros(len(problem.parameters))
     assert system.jacobian(problem, x)[0].shape == (len(data), 3, len(x))
+
+
+@pytest.mark.parametrize(
+    ("rows", "tool", "observes", "doubted"),
+    [
+        (3, "long", "position", True),
+        (4, "long", "position", False),
+        (3, "tool", "position", False),
+        (1, "tool", "pose", False),
+    ],
+)
+def test_a_set_up_of_as_many_numbers_as_unknowns_is_not_trusted(
+    cell: Cell, rows: int, tool: str, observes: str, doubted: bool
+) -> None:
+    """Three positions of a tool of its own are explained exactly by several bases and tools, decimetres apart."""
+    model = machines.model(cell.robot, offsets="all", placements="all")
+    fit = calib.identify(model, [cell.measure("left"), cell.measure("right", rows, observes, tool)])
+    found = calib.assess(fit)
+    said = [doubt for doubt in found.doubts if doubt.startswith("In set-up 'right' as many numbers were measured as ")]
+    assert bool(said) == doubted
+    assert found.trusted == (not doubted), found.doubts

@@ -1,8 +1,11 @@
 """Checks of the fit itself: whether it ended, and what it leaves beside the stated noise."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calib.assessment.judged import NOTHING, Check
+from calib.foundations.words import listed, noun
 from calib.identification.fit import Fit
 from calib.measurement.kinds import UNIT_OF
 from calib.measurement.measurements import Measurements
@@ -29,8 +32,11 @@ def convergence(fit: Fit) -> Check:
     return Check.of("convergence", fit.step, NOTHING, fit.converged, said)
 
 
-def redundancy(fit: Fit) -> Check:
-    """Whether more was measured than was sought. What is measured at one pose again tells of the noise alone."""
+def redundancy(fit: Fit, unchecked: Sequence[str]) -> Check:
+    """Whether more was measured than was sought. What is measured at one pose again tells of the noise alone.
+
+    ``unchecked``: set-ups of which nothing checks the rows.
+    """
     numbers = sum(r.size for r in fit.residuals)
     again = sum(
         r.shape[1] * _told_before(data, under_conditions=bool(fit.robot.terms))
@@ -39,6 +45,13 @@ def redundancy(fit: Fit) -> Check:
     free = sum(noise.degrees_of_freedom for noise in fit.noise_by_rows) - again
     said = f"{numbers} numbers were measured, {f'{again} of them at the same poses again, ' if again else ''}"
     said += f"and {max(free, 0.0):.0f} degrees of freedom are left to judge the fit"
+    if free >= FREEDOM and unchecked:
+        exactly = (
+            f"In {noun(len(unchecked), 'set-up')} {listed(unchecked)} as many numbers were measured as there are "
+            "unknowns: several bases and tools explain them exactly, and nothing tells which is right. Measure more "
+            "poses there, or state the tool."
+        )
+        return Check.of("redundancy", free, FREEDOM, False, exactly, least=True)
     return Check.judged("redundancy", free, FREEDOM, said, f"; at least {FREEDOM:g} are needed.", least=True)
 
 
