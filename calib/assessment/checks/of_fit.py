@@ -32,7 +32,7 @@ def convergence(fit: Fit) -> Check:
     return Check.of("convergence", fit.step, NOTHING, fit.converged, said)
 
 
-def redundancy(fit: Fit, unchecked: Sequence[str]) -> Check:
+def redundancy(fit: Fit, unchecked: Sequence[str] = ()) -> Check:
     """Whether more was measured than was sought. What is measured at one pose again tells of the noise alone.
 
     ``unchecked``: set-ups of which nothing checks the rows.
