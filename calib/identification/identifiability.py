@@ -198,9 +198,7 @@ def undetermined(rows: Arrow, of_targets: Split) -> tuple[Array, BoolArray]:
     if np.array_equal(rows.split.common, of_targets.common):
         common = found.null_basis(found.common_rank(NUMERICAL_TOLERANCE))
         weak = np.any(reduced.singular_values <= NUMERICAL_TOLERANCE, axis=1)
-        alone = np.broadcast_to(weak[:, None], rows.split.blocks.shape)
-        open_ = rows.split.whole(np.zeros(len(rows.split.common), dtype=np.bool_), alone)
-        return rows.split.whole(common, reduced.follow @ common), open_ > 0.0
+        return rows.split.whole(common, reduced.follow @ common), np.append(weak, False)[rows.split.block_of]
     alone = np.zeros(rows.split.size, dtype=np.bool_)
     for own in of_targets.blocks:
         of_target = own[own >= 0]

@@ -99,7 +99,7 @@ class AlongNullSpace:
         others = np.array([parameter.kind not in ("base", "target") for parameter in parameters])
         moves = np.any(np.abs(along[others]) > _ALONE * scales(parameters)[others, None], axis=0)
         off = self._some_residuals()
-        at, here = off(self.values), None
+        at, here, floor = off(self.values), None, None
         for f in along.T[moves]:
             for share in _SHARES:
                 ends = self.values + share * f, self.values - share * f
@@ -109,8 +109,10 @@ class AlongNullSpace:
                         break
                     if not np.isfinite(noticed):
                         continue
-                    here = self._step(self.values) if here is None else here
-                    floors = self._floors(ends, off, off(self.values + here))
+                    if here is None or floor is None:
+                        here = self._step(self.values)
+                        floor = off(self.values + here)
+                    floors = self._floors(ends, off, floor)
                 except PoseError:  # a loop does not close there, so that the truth is nearer
                     continue
                 if floors is not None:
