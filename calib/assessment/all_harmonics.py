@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.assessment.entering import Products
 from calib.assessment.validation import HeldOut, held_out, surely_less, unharmed
-from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.arrays import Array, IntArray
 from calib.identification.learned import too_few
 from calib.identification.widths import NormalEquations, Widths, likeliest_widths, nearby
 from calib.robot.terms import JointTerm
@@ -71,7 +71,7 @@ class Offer(NamedTuple):
     """What is offered: harmonics of the ``kept`` readings up to an ``order``.
 
     ``harmonics`` (readings, orders, 2): the columns of these and of all others. ``start``: widths that all rows teach,
-    and ``few`` (readings,): of which readings they are hardly taught.
+    and ``usual`` (readings,): usual widths of readings of which rows hardly teach them, zero for others.
     """
 
     known: Known
@@ -79,7 +79,7 @@ class Offer(NamedTuple):
     kept: IntArray
     order: int
     start: Widths
-    few: BoolArray
+    usual: Array
 
     @classmethod
     def of(
@@ -109,8 +109,9 @@ class Offer(NamedTuple):
             return None
         rows = _Equations(known, harmonics, products, columns).of(columns, None)
         widths = np.array(begin) if len(begin) == len(few) else np.ones(len(few))
-        start = likeliest_widths(rows, widths, few=few.astype(np.float64))
-        return cls(known, harmonics, kept, order, start, few)
+        usual = np.where(few, 1.0, 0.0)
+        start = likeliest_widths(rows, widths, usual=usual)
+        return cls(known, harmonics, kept, order, start, usual)
 
     def columns(self, chosen: IntArray) -> IntArray:
         """Return the columns (k,) of terms, with those that are chosen."""
@@ -122,7 +123,7 @@ class Offer(NamedTuple):
         equations = _Equations(self.known, self.harmonics, products, np.unique(np.concatenate(own)))
         found = np.zeros((len(own), len(self.known.weak)))
         for k, columns in enumerate(own):
-            z = nearby(equations.of(columns, k), self.start.widths, self.start.factors, self.few.astype(np.float64))
+            z = nearby(equations.of(columns, k), self.start.widths, self.start.factors, self.usual)
             found[k, np.concatenate([self.known.geometry, columns])] = z
         return found
 

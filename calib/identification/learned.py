@@ -75,7 +75,7 @@ def solve_learning(
     taught, shown = seen, ~few
     closely = False
     for first in (True, *(False,) * (_MOST_ROUNDS - 1)):
-        new, _, taught, shown = likeliest_widths(rows, widths, few=np.where(few, usual, 0.0))
+        new, _, taught, shown = likeliest_widths(rows, widths, usual=np.where(few, usual, 0.0))
         change = float(np.max(np.abs(np.log(new / widths))))
         if closely and change < _NO_CHANGE:
             break

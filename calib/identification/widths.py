@@ -190,13 +190,13 @@ def searched(
     return np.exp(result.x[:g]), np.exp(result.x[g:])
 
 
-def likeliest_widths(rows: NormalEquations, start: Array, power: float = POWER, few: Array | None = None) -> Widths:
+def likeliest_widths(rows: NormalEquations, start: Array, power: float = POWER, usual: Array | None = None) -> Widths:
     """Return the widths of the largest likelihood times a ``power`` of widths; ``start`` (g,): those to begin with.
 
-    ``few`` (g,): the usual widths of groups of which too little shows, which keep these unless they are farther off;
-    zero for others.
+    ``usual`` (g,): usual widths of groups of which too little shows, which keep these unless they are farther off; zero
+    for others.
     """
-    held = _Held.of(power, np.zeros(len(start)) if few is None else few)
+    held = _Held.of(power, np.zeros(len(start)) if usual is None else usual)
     widths, factors = searched(rows, start, held.adds, ftol=1e-13, least=held.least)
     found = likelihood(rows, widths, factors)
     # Where there is hardly any noise, rounding in the likelihood ends the search early; its slopes know better.
@@ -211,12 +211,12 @@ def likeliest_widths(rows: NormalEquations, start: Array, power: float = POWER, 
     return Widths(widths, factors, found.gamma, shown)
 
 
-def nearby(rows: NormalEquations, widths: Array, factors: Array, few: Array) -> Array:
+def nearby(rows: NormalEquations, widths: Array, factors: Array, usual: Array) -> Array:
     """Return the parameters (p,) of the likeliest widths (g,) and factors (c,), near those of almost the same rows.
 
-    ``few`` (g,): as of :func:`likeliest_widths`.
+    ``usual`` (g,): as of :func:`likeliest_widths`.
     """
-    found, held = likelihood(rows, widths, factors), _Held.of(POWER, few)
+    found, held = likelihood(rows, widths, factors), _Held.of(POWER, usual)
     for _ in range(_FEW_TURNS):
         widths = held.turned(found, widths)
         explained = factors * np.sqrt(np.maximum(1.0 - 0.5 * found.by_factors / rows.counts, 0.0))

@@ -120,7 +120,7 @@ def test_a_usual_width_is_widened_by_few_that_are_far_off_and_never_narrowed(usu
     for size in (0.0, 0.3, 3.0, 12.0):
         x = np.array([size, -size, 0.0, 0.0, 0.0, 0.0])
         rows = rows_of(J, -J @ x + rng.standard_normal(60), np.zeros(6, dtype=int))
-        found = likeliest_widths(rows, np.full(1, usual), few=np.full(1, usual)).widths[0]
+        found = likeliest_widths(rows, np.full(1, usual), usual=np.full(1, usual)).widths[0]
         assert found == pytest.approx(max(usual, np.sqrt((2.0 * size**2 + usual**2) / 3.0)), rel=2e-2)
 
 
