@@ -67,7 +67,7 @@ _PLAIN_SHAPES = {
 class _Shape:
     """A shape at ``placement`` (4, 4) in ``link``, within a ball of ``radius`` about ``centre`` (3,) in that link.
 
-    ``effort``: what a test of it counts. ``mesh``: what it is made of, if it is one.
+    ``mesh``: what it is made of, if it is one.
     """
 
     link: str
@@ -75,8 +75,12 @@ class _Shape:
     geometry: object
     centre: Array
     radius: float
-    effort: float
-    mesh: "_Mesh | None" = None
+    mesh: "_Mesh | None"
+
+    @property
+    def effort(self) -> float:
+        """What a test of it counts."""
+        return 1.0 if self.mesh is None else _OF_MESHES
 
 
 class _Mesh(NamedTuple):
@@ -330,7 +334,6 @@ def _shape(link: str, origin: Mapping[str, str], shape: Element, meshes: _Meshes
         geometry,
         placement[:3, :3] @ centre + placement[:3, 3],
         float(geometry.aabb_radius),
-        1.0 if mesh is None else _OF_MESHES,
         mesh,
     )
 
