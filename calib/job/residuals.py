@@ -1,6 +1,6 @@
 """The last level of a job: a model of what the identified machine leaves, over joint space."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -52,11 +52,7 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
     )
     readings = np.concatenate([data.readings for data in sets])
     # Elsewhere base and load err otherwise, and so do other tools.
-    several = [len({name for data in fit.measurements for name in of(data)}) > 1 for of in (_setups, _tools)]
-    setups, tools = (
-        tuple(sorted({name for data in sets for name in of(data)})) if there else ()
-        for of, there in zip((_setups, _tools), several, strict=True)
-    )
+    setups, tools = (_of_several(names, sets, fit.measurements) for names in (_setups, _tools))
     if section.kind == "grid":
         grid = grid_from_residuals(
             readings,
@@ -82,6 +78,13 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
         f"{without.rms / MM:.3g} mm to {held.rms / MM:.3g} mm, which is not better by more than a standard error."
     )
     return ResidualLevel(None, 0, Finding.warning("gaussian-process-left-out", sentence))
+
+
+def _of_several(
+    names: Callable[[Measurements], set[str]], sets: Sequence[Measurements], every: Sequence[Measurements]
+) -> tuple[str, ...]:
+    """Return the names in sets, none where ``every`` set has the same one."""
+    return tuple(sorted(set().union(*map(names, sets)))) if len(set().union(*map(names, every))) > 1 else ()
 
 
 def _setups(data: Measurements) -> set[str]:

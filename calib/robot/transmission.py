@@ -22,6 +22,8 @@ from calib.robot.terms.kind import Rows, Shares
 
 # Names of terms that may need a condition; of a thousand candidates hardly any does.
 _NEEDING = frozenset(name for name, kind in NAMED.items() if kind.needs)
+# So many values of bases are made at once, where nobody asks for them: 8000 terms have as many at 125 rows.
+_AT_ONCE = 1_000_000
 
 
 class Flexures(NamedTuple):
@@ -29,10 +31,6 @@ class Flexures(NamedTuple):
 
     every: tuple[Flexure, ...]
     of_term: tuple[range, ...]
-
-
-# So many values of bases are made at once, where nobody asks for them: 8000 terms have as many at 125 rows.
-_AT_ONCE = 1_000_000
 
 
 def flexures(terms: Sequence[JointTerm], joints: Sequence[str], segments: Sequence[Segment]) -> Flexures:
