@@ -78,6 +78,11 @@ class Layout:
         """Return the layout of a machine with such frames."""
         return cls(robot, len(frames.bases), len(frames.tools), len(frames.targets), len(frames.scalars))
 
+    def frame_of(self, parameter: Parameter) -> tuple[int, int]:
+        """Return the number of the base, tool or target that a parameter is of, and which of its six values it is."""
+        first = {"base": self.base, "tool": self.tools, "target": self.targets}[parameter.kind]
+        return divmod(parameter.entries[0][0] - first, 6)
+
 
 class States:
     """How a machine follows the values of its parameters: what is the same for all values, made once.

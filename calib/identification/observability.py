@@ -127,7 +127,7 @@ def _unturned(problem: Problem) -> Iterator[Finding]:
     """Yield what poses do not show of tool points, since the tip link hardly turns."""
     sets, tools = problem.measurements, problem.measurements[0].tools
     layout = Layout.of(problem.model.robot, problem.reference)
-    held = {(q.entries[0][0] - layout.tools) // 6 for q in problem.parameters if q.weak_prior == UNSHOWN_TOOL_WIDTH}
+    held = {layout.frame_of(q)[0] for q in problem.parameters if q.weak_prior == UNSHOWN_TOOL_WIDTH}
     for k in sorted(held):
         rotations = np.concatenate([problem.model.robot.tips(d.readings[d.tool == k])[:, :3, :3] for d in sets])
         if not len(rotations):

@@ -37,7 +37,7 @@ def anchors_anew(problem: Problem, x: Array) -> Array | None:
     found, layout = x.copy(), Layout.of(problem.model.robot, problem.reference)
     for k, parameter in enumerate(problem.parameters):
         if parameter.kind == "target":
-            t, component = divmod(parameter.entries[0][0] - layout.targets, 6)
+            t, component = layout.frame_of(parameter)
             if moved[t] and component < 3:
                 found[k] = anew[t, component, 3]
     return None if np.array_equal(found, x) else found

@@ -252,8 +252,8 @@ def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Ma
 
 def _refuse_too_few(new: Sequence[Parameter], layout: Layout, sets: Sequence[Measurements]) -> None:
     """Refuse rows that new tools and bases would use up: nothing would be left to judge."""
-    for kind, start in (("base", layout.base), ("tool", layout.tools)):
-        entries = [(q.entries[0][0] - start) // 6 for q in new if q.kind == kind]
+    for kind in ("base", "tool"):
+        entries = [layout.frame_of(q)[0] for q in new if q.kind == kind]
         for k in dict.fromkeys(entries):
             own = [data.setup == k if kind == "base" else data.tool == k for data in sets]
             numbers = sum(int(rows.sum()) * data.sigma.shape[1] for data, rows in zip(sets, own, strict=True))
@@ -304,8 +304,10 @@ def _without_turns_of_points(
     turning = turned(sets)
 
     def of_point(parameter: Parameter) -> bool:
-        tool, component = divmod(parameter.entries[0][0] - layout.tools, 6)
-        return parameter.kind == "tool" and component > 2 and not turning[tool]
+        if parameter.kind != "tool":
+            return False
+        tool, component = layout.frame_of(parameter)
+        return component > 2 and not turning[tool]
 
     return tuple(parameter for parameter in parameters if not of_point(parameter))
 
@@ -318,8 +320,10 @@ def _with_unshown_tools(parameters: tuple[Parameter, ...], unshown: BoolArray, l
     """
 
     def held(parameter: Parameter) -> bool:
-        tool, component = divmod(parameter.entries[0][0] - layout.tools, 6)
-        return parameter.kind == "tool" and component < 3 and bool(unshown[tool])
+        if parameter.kind != "tool":
+            return False
+        tool, component = layout.frame_of(parameter)
+        return component < 3 and bool(unshown[tool])
 
     return tuple(replace(q, weak_prior=UNSHOWN_TOOL_WIDTH, freed=q.weak_prior) if held(q) else q for q in parameters)
 
