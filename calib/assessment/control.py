@@ -6,16 +6,26 @@ have redundancy numbers of zero (W. Baarda, *A testing procedure for use in geod
 """
 
 from collections import Counter
+from typing import Literal
 
 import numpy as np
 
 from calib.assessment.influence import Residue
+from calib.identification.fit import Fit
 from calib.identification.machine import Layout
 
 # Of more numbers some always check the others: a base and a tool have twelve unknowns at most.
 _MOST_NUMBERS = 24
 # Rows that check each other have a redundancy of one number or more.
 _LEAST = 0.5
+
+
+def names_of_mirrored(fit: Fit, kind: Literal["tool", "target"]) -> tuple[str, ...]:
+    """Return the names of tools, or targets, that lengths put at two places alike."""
+    layout, data = Layout.of(fit.robot, fit.machine.frames), fit.measurements[0]
+    names = data.tools if kind == "tool" else data.targets
+    own = [p for p, twice in zip(fit.parameters, fit.mirrored, strict=True) if twice and p.kind == kind]
+    return tuple(dict.fromkeys(names[layout.frame_of(p)[0]] for p in own))
 
 
 def unchecked(residue: Residue) -> tuple[str, ...]:
@@ -28,7 +38,7 @@ def unchecked(residue: Residue) -> tuple[str, ...]:
     for data in sets:
         for s, rows in zip(*np.unique(data.setup, return_counts=True), strict=True):
             numbers[int(s)] += int(rows) * (_MOST_NUMBERS if data.kind == "pose" else data.sigma.shape[1])
-    free = {(p.entries[0][0] - layout.base) // 6 for p in residue.fit.parameters if p.kind == "base"}
+    free = {layout.frame_of(p)[0] for p in residue.fit.parameters if p.kind == "base"}
     few = {s for s, count in numbers.items() if count < _MOST_NUMBERS and s in free}
     if len(numbers) == 1 or not few:
         return ()

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.checks.shown_range import shown_range
-from calib.assessment.control import unchecked
+from calib.assessment.control import names_of_mirrored, unchecked
 from calib.assessment.effects import apart, delay, drifts, elsewhere, gains, ratios, rounding, steps, strains, timing
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
@@ -23,7 +23,7 @@ from calib.assessment.places import unshown
 from calib.assessment.stretches import pose_by_pose, stretches
 from calib.foundations.chance import exceeded
 from calib.foundations.linear import one_thread
-from calib.foundations.words import listed
+from calib.foundations.words import listed, noun
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.checks import Finding
@@ -84,7 +84,7 @@ def verdict(
             of_fit.stated_sigma(fit),
             of_errors.independent_rows(own, held_out),
             of_errors.copies(own, held_out),
-            of_fit.redundancy(fit, unchecked(residue)),
+            of_fit.redundancy(fit, unchecked(residue), names_of_mirrored(fit, "tool")),
             *by_row,
             of_rows.groups(found, apart(poses, C), elsewhere(poses, C), fit),
             of_rows.set_ups(moved),
@@ -118,6 +118,15 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
                 )
             )
     found += _unlike(fit)
+    if twice := names_of_mirrored(fit, "target"):
+        found.append(
+            Finding.warning(
+                "mirrored",
+                f"Lengths put the {noun(len(twice), 'target')} {listed(twice)} at two places alike, one on either side "
+                "of the plane that the tool was in: no coordinates are told. The arm follows from neither. One more "
+                "length from well outside that plane tells which it is.",
+            )
+        )
     if rising := _surely(fit, _COMPLIANCE, -1.0):
         found.append(
             Finding(

@@ -27,6 +27,7 @@ from calib.identification.learned import LearnedPrior, solve_learning
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.memory import with_memory
+from calib.identification.mirrored import mirrored
 from calib.identification.noise import Noise, noise_of
 from calib.identification.not_seen import AlongNullSpace
 from calib.identification.parameters import Parameter, scales
@@ -210,6 +211,7 @@ def _identify(
     sigmas = weights.sigmas_of(plain, spread_out, after)
     spread, memories, repeats = with_memory(replace(problem, together=()), found.x, sigmas, after, found.spread)
     noise = _noise(problem, found._replace(variances=spread_out), after)
+    twice = mirrored(problem, machine, sigmas)
     fit = Fit(
         model=model,
         measurements=tuple(data.at_clock(machine.frames.scalars) for data in sets),
@@ -221,9 +223,10 @@ def _identify(
         numerical_rank=found.directions.numerical_rank,
         spectrum=found.spectrum,
         null_space=directions,
-        unidentifiable=read_only_view(found.unidentifiable),
+        unidentifiable=read_only_view(found.unidentifiable | twice),
         null_basis=read_only(found.null_basis),
         along_null_space=AlongNullSpace(found.null_basis, found.spectrum.rows, problem, found.x, sigmas),
+        mirrored=read_only_view(twice),
         policy=null_space,
         held=held,
         noise=_by_poses(problem, noise, repeats),
@@ -611,6 +614,7 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
     noise = _noise(problem, found, after)
     sigmas = weights.sigmas_of(problem, found.variances, after)
     spread, memories, repeats = with_memory(problem, found.x, sigmas, after, found.spread)
+    twice = mirrored(problem, machine, sigmas)
     assert found.off is not None, "values found in another way are off"
     return replace(
         fit,
@@ -623,9 +627,10 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
         rank=found.directions.rank,
         numerical_rank=found.directions.numerical_rank,
         spectrum=found.spectrum,
-        unidentifiable=read_only_view(found.unidentifiable),
+        unidentifiable=read_only_view(found.unidentifiable | twice),
         null_basis=read_only(found.null_basis),
         along_null_space=AlongNullSpace(found.null_basis, found.spectrum.rows, problem, found.x, sigmas),
+        mirrored=read_only_view(twice),
         noise=_by_poses(problem, noise, repeats),
         noise_by_rows=noise,
         machine=machine,

@@ -32,10 +32,10 @@ def convergence(fit: Fit) -> Check:
     return Check.of("convergence", fit.step, NOTHING, fit.converged, said)
 
 
-def redundancy(fit: Fit, unchecked: Sequence[str] = ()) -> Check:
+def redundancy(fit: Fit, unchecked: Sequence[str] = (), mirrored: Sequence[str] = ()) -> Check:
     """Whether more was measured than was sought. What is measured at one pose again tells of the noise alone.
 
-    ``unchecked``: set-ups of which nothing checks the rows.
+    ``unchecked``: set-ups of which nothing checks the rows. ``mirrored``: tools that lengths put at two places.
     """
     numbers = sum(r.size for r in fit.residuals)
     again = sum(
@@ -52,6 +52,12 @@ def redundancy(fit: Fit, unchecked: Sequence[str] = ()) -> Check:
             "poses there, or state the tool."
         )
         return Check.of("redundancy", free, FREEDOM, False, exactly, least=True)
+    if free >= FREEDOM and mirrored:
+        alike = (
+            f"Lengths put the {noun(len(mirrored), 'tool')} {listed(mirrored)} at two places alike, and nothing tells "
+            "which is right. Measure more lengths, at other orientations of the tip, or state the tool."
+        )
+        return Check.of("redundancy", free, FREEDOM, False, alike, least=True)
     return Check.judged("redundancy", free, FREEDOM, said, f"; at least {FREEDOM:g} are needed.", least=True)
 
 

@@ -1,0 +1,121 @@
+"""Anchors, balls and tools that lengths alone tell, where another place explains these as well.
+
+Lengths from points in a plane are the same on both of its sides, and three points always are in a plane: with a machine
+that is known, three lengths put an anchor at either of two places, and a fit ends at one of them without a remainder.
+Neither the rank nor a standard deviation says so, as both look at the surroundings of one place.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.linear import svd, triangle
+from calib.identification.machine import Layout, Machine
+from calib.identification.parameters import ParameterKind, scales
+from calib.identification.system import Problem
+from calib.measurement.kinds import Kind
+from calib.measurement.measurements import numbered
+
+_LENGTHS: tuple[Kind, ...] = ("distance", "sphere")
+# Both places are possible where the sums of squares differ by less than four standard deviations, squared; and they are
+# two where what is told of one does not reach the other.
+_LIKELY, _APART = 16.0, 16.0
+_STEPS, _NO_STEP = 20, 1e-9
+
+
+class _Lengths(NamedTuple):
+    """Rows of lengths between a tool point and a target: where tool and target are (n, 4, 4), residual, sigma (n,).
+
+    ``tool`` and ``target`` (n,): numbers of these.
+    """
+
+    tool: IntArray
+    target: IntArray
+    tools: Array
+    targets: Array
+    residual: Array
+    sigma: Array
+
+    def ends(self, kind: ParameterKind) -> Array:
+        """Return the other ends (n, 3) of the lengths from a target, in the frame where it stands, or from a tool."""
+        return np.asarray((self.tools if kind == "target" else rigid.inverse(self.tools) @ self.targets)[:, :3, 3])
+
+
+def mirrored(problem: Problem, at: Machine, sigmas: Sequence[Array]) -> BoolArray:
+    """Return which parameters (p,) are of tools and targets that two places explain, the others being as they are.
+
+    ``sigmas`` (N, 1) of the rows of every set. Targets between which something is known, and what other rows than
+    lengths tell of, are not looked at.
+    """
+    found, layout = np.zeros(len(problem.parameters), dtype=np.bool_), Layout.of(problem.model.robot, problem.reference)
+    rows = _rows(problem, at, sigmas)
+    kinds: tuple[ParameterKind, ...] = ("tool", "target")
+    for kind in kinds if rows else ():
+        free = {k: layout.frame_of(p)[0] for k, p in enumerate(problem.parameters) if p.kind == kind}
+        asked = set(free.values()) - _told_otherwise(problem, kind)
+        if not rows or not asked:
+            continue
+        ends, twice = rows.ends(kind), set()
+        for number, own in numbered(rows.target if kind == "target" else rows.tool):
+            here = rows.targets[own[0], :3, 3] if kind == "target" else np.zeros(3)
+            if number in asked and _at_two_places(here, ends[own], rows.residual[own], rows.sigma[own]):
+                twice.add(number)
+        found[[k for k, number in free.items() if number in twice]] = True
+    return found
+
+
+def _rows(problem: Problem, at: Machine, sigmas: Sequence[Array]) -> _Lengths | None:
+    found, rates = [], None
+    for data, sigma in zip(problem.measurements, sigmas, strict=True):
+        if data.kind not in _LENGTHS:
+            continue
+        rates = rates or problem.rates(at, scales(problem.parameters), problem.split)
+        for block in rates.blocks(data):
+            target = data.target[block.rows]
+            tools, r = block.moved[0].placed, block.observed.residual[:, 0]
+            found.append(
+                _Lengths(data.tool[block.rows], target, tools, at.frames.targets[target], r, sigma[block.rows, 0])
+            )
+    return _Lengths(*(np.concatenate(parts) for parts in zip(*found, strict=True))) if found else None
+
+
+def _told_otherwise(problem: Problem, kind: ParameterKind) -> set[int]:
+    """Return the tools, or targets, by number, of which more tells than lengths to one point."""
+    others = [data for data in problem.measurements if data.kind not in _LENGTHS]
+    if kind == "tool":
+        return {int(t) for data in others for end in data.ends for t in np.unique(end.tool)}
+    related = {name for relation in problem.relations for name in relation.targets}
+    names = problem.measurements[0].targets
+    return {int(t) for data in others for t in np.unique(data.target)} | {names.index(name) for name in related}
+
+
+def _at_two_places(here: Array, ends: Array, residual: Array, sigma: Array) -> bool:
+    """Return whether another place than ``here`` (3,) explains lengths from it to their ``ends`` (n, 3) as well.
+
+    It is sought from behind the plane that is nearest to the ends.
+    """
+    if len(ends) < 3:
+        return False
+    lengths = np.linalg.norm(here - ends, axis=1) + residual
+
+    def whitened(place: Array) -> tuple[Array, Array]:
+        apart = place - ends
+        reach = np.linalg.norm(apart, axis=1)
+        return (lengths - reach) / sigma, -apart / (np.maximum(reach, _NO_STEP) * sigma)[:, None]
+
+    middle = ends.mean(axis=0)
+    normal = svd(triangle(ends - middle))[2][-1]
+    there = here - 2.0 * ((here - middle) @ normal) * normal
+    most = float(np.sum((residual / sigma) ** 2)) + _LIKELY
+    r, J = whitened(there)
+    for _ in range(_STEPS):
+        step = np.linalg.lstsq(J, -r, rcond=None)[0]
+        new_r, new_J = whitened(there + step)
+        if new_r @ new_r >= r @ r or np.linalg.norm(step) < _NO_STEP:
+            break
+        there, r, J = there + step, new_r, new_J
+    told = whitened(here)[1] @ (there - here)
+    return bool(r @ r < most and told @ told > _APART)

@@ -1,0 +1,68 @@
+"""Anchors and tools that lengths put at two places alike: none of these is told."""
+
+import numpy as np
+import pytest
+
+import calib
+from calib.assessment.control import names_of_mirrored
+from calib.identification.fit import Fit
+from calib.identification.targets import Target
+from tests.support import machines
+from tests.support.machines import Array
+
+UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
+SIGMA = 2e-5
+ANCHORS = 6
+TOOL, OTHER = machines.pose((0.08, 0.05, 0.25)), machines.pose((-0.1, 0.12, 0.2))
+
+
+def session(readings_of: Array | None = None, *, each: int = 3, other_tool: bool = False) -> tuple[Fit, Array]:
+    """Positions that tell a UR10, and lengths to anchors that are not known; or of another tool, to two that are."""
+    rng = np.random.default_rng(7)
+    robot, true = machines.load(*UR10), machines.arm(*UR10).moved(rng)
+    places, base = rng.uniform(-2.0, 2.0, (ANCHORS, 3)), machines.anywhere(rng)
+    seen = machines.Machine(true, base, {"tool": TOOL}).measure(
+        robot, true.draw(rng, 60), "position", points=["tool"] * 60, rng=rng, sigma=SIGMA, sigma_angle=SIGMA
+    )
+    count = each if other_tool else ANCHORS * each
+    target = np.arange(count) % ANCHORS
+    readings = true.draw(rng, count) if readings_of is None else readings_of
+    points = (base @ true.tips(readings) @ (OTHER if other_tool else TOOL))[:, :3, 3]
+    columns: dict[str, object] = {f"{r.name} [rad]": readings[:, k] for k, r in enumerate(robot.readings)}
+    columns["length [m]"] = np.linalg.norm(points - places[target], axis=1) + rng.normal(scale=SIGMA, size=count)
+    columns |= {"target": [f"A{t}" for t in target], "tool": ["other" if other_tool else "tool"] * count}
+    known = {f"A{t}": Target(machines.pose(places[t])) for t in set(target.tolist()) if other_tool}
+    data = calib.read_measurements(columns, robot, "distance", sigma=SIGMA)
+    model = calib.error_model(robot, offsets="all", placements="all", known=calib.Known(targets=known))
+    return calib.identify(model, [seen, data]), places
+
+
+@pytest.mark.parametrize(("each", "mirrored"), [(3, True), (5, False)])
+def test_three_lengths_put_an_anchor_at_two_places(each: int, mirrored: bool) -> None:
+    """A fit ends at one of them without a remainder: some of these were metres off, and told to micrometres."""
+    fit, places = session(each=each)
+    of_targets = np.array([parameter.kind == "target" for parameter in fit.parameters])
+    assert np.array_equal(fit.mirrored, of_targets & mirrored)
+    assert np.isnan(fit.sigmas[of_targets]).all() == mirrored
+    assert names_of_mirrored(fit, "target") == (tuple(f"A{t}" for t in range(ANCHORS)) if mirrored else ())
+    assert [f.code for f in calib.assess(fit).findings].count("mirrored") == mirrored
+    off = np.abs(fit.values[of_targets] - places.ravel())
+    assert off.max() > 0.1 if mirrored else (off < 5.0 * fit.sigmas[of_targets]).all()
+
+
+def test_more_lengths_in_a_plane_do_so_as_well() -> None:
+    """The second and third joint carry the tool point about in a plane."""
+    readings = np.tile((0.3, -1.0, 0.7, -0.4, 0.6, 0.2), (8 * ANCHORS, 1))
+    readings[:, 1:3] += np.random.default_rng(3).uniform(-0.5, 0.5, (len(readings), 2))
+    fit, _ = session(readings, each=8)
+    assert len(names_of_mirrored(fit, "target")) == ANCHORS
+
+
+@pytest.mark.parametrize(("each", "mirrored"), [(3, ("other",)), (6, ())])
+def test_a_tool_that_three_lengths_tell(each: int, mirrored: tuple[str, ...]) -> None:
+    fit, _ = session(each=each, other_tool=True)
+    assert names_of_mirrored(fit, "tool") == mirrored
+    assert names_of_mirrored(fit, "target") == ()
+    told = calib.assess(fit)
+    assert [check.passed for check in told.checks if check.name == "redundancy"] == [not mirrored]
+    assert any("two places" in doubt for doubt in told.doubts) == bool(mirrored)
