@@ -1,4 +1,4 @@
-"""What nothing checks: set-ups of which as many numbers were measured as there are unknowns that these alone tell.
+"""What nothing checks: set-ups and tools of which as many numbers were measured as these alone tell unknowns.
 
 Three positions of a tool of its own in a set-up of its own are nine numbers for nine unknowns. Several bases and tools
 explain them exactly, the search ends at one of them, and no residual tells that it is another one. In geodesy such rows
@@ -11,8 +11,10 @@ from typing import Literal
 import numpy as np
 
 from calib.assessment.influence import Residue
+from calib.foundations.arrays import IntArray
 from calib.identification.fit import Fit
 from calib.identification.machine import Layout
+from calib.measurement.measurements import Measurements, numbered
 
 # Of more numbers some always check the others: a base and a tool have twelve unknowns at most.
 _MOST_NUMBERS = 24
@@ -28,27 +30,33 @@ def names_of_mirrored(fit: Fit, kind: Literal["tool", "target"]) -> tuple[str, .
     return tuple(dict.fromkeys(names[layout.frame_of(p)[0]] for p in own))
 
 
-def unchecked(residue: Residue) -> tuple[str, ...]:
-    """Return the set-ups, of several, whose bases are free, and of which nothing checks the positions.
+def unchecked(residue: Residue, kind: Literal["base", "tool"]) -> tuple[str, ...]:
+    """Return the set-ups, or tools, of several, that are free and of which nothing checks the rows.
 
-    One pose has one base that explains it, and is not looked at.
+    One pose has one base that explains it: such a set-up is not looked at.
     """
-    sets, layout = residue.fit.measurements, Layout.of(residue.fit.robot, residue.problem.reference)
+    fit, sets = residue.fit, residue.fit.measurements
+    layout, names = Layout.of(fit.robot, fit.machine.frames), sets[0].setups if kind == "base" else sets[0].tools
     numbers: Counter[int] = Counter()
     for data in sets:
-        for s, rows in zip(*np.unique(data.setup, return_counts=True), strict=True):
-            numbers[int(s)] += int(rows) * (_MOST_NUMBERS if data.kind == "pose" else data.sigma.shape[1])
-    free = {layout.frame_of(p)[0] for p in residue.fit.parameters if p.kind == "base"}
-    few = {s for s, count in numbers.items() if count < _MOST_NUMBERS and s in free}
+        each = _MOST_NUMBERS if kind == "base" and data.kind == "pose" else data.sigma.shape[1]
+        for number, same in numbered(_whose(data, kind)):
+            numbers[number] += each * len(same)
+    free = {layout.frame_of(p)[0] for p in fit.parameters if p.kind == kind}
+    few = {k for k, count in numbers.items() if count < _MOST_NUMBERS and k in free}
     if len(numbers) == 1 or not few:
         return ()
     left = dict.fromkeys(sorted(few), 0.0)
     for i, data in enumerate(sets):
-        if few.isdisjoint(data.setup.tolist()):
+        if few.isdisjoint(_whose(data, kind).tolist()):
             continue
         for rows in residue.blocks(i):
             H = rows.J @ residue.covariances(rows) @ np.swapaxes(rows.J, -1, -2)
             own = np.sum(1.0 - rows.w[:, None] * np.diagonal(H, axis1=1, axis2=2), axis=1)
-            for s in few:
-                left[s] += float(np.sum(own[data.setup[rows.rows] == s]))
-    return tuple(sets[0].setups[s] for s, redundancy in left.items() if redundancy < _LEAST)
+            for k in few:
+                left[k] += float(np.sum(own[_whose(data, kind)[rows.rows] == k]))
+    return tuple(names[k] for k, redundancy in left.items() if redundancy < _LEAST)
+
+
+def _whose(data: Measurements, kind: Literal["base", "tool"]) -> IntArray:
+    return data.setup if kind == "base" else data.tool

@@ -84,7 +84,7 @@ def verdict(
             of_fit.stated_sigma(fit),
             of_errors.independent_rows(own, held_out),
             of_errors.copies(own, held_out),
-            of_fit.redundancy(fit, unchecked(residue), names_of_mirrored(fit, "tool")),
+            of_fit.redundancy(fit, unchecked(residue, "base"), names_of_mirrored(fit, "tool")),
             *by_row,
             of_rows.groups(found, apart(poses, C), elsewhere(poses, C), fit),
             of_rows.set_ups(moved),
@@ -98,7 +98,16 @@ def verdict(
             of_arm.lens(fit),
             of_arm.warnings((*findings, *_contradicted(fit))),
         )
-    return Verdict(told, (*shown_range(fit, own, held_out), *unshown(fit)))
+        alone = unchecked(residue, "tool")
+    shown = (*shown_range(fit, own, held_out), *unshown(fit))
+    if alone:
+        which = f"the {noun(len(alone), 'tool')} {listed(alone)}"
+        shown = (
+            *shown,
+            f"As many numbers were measured with {which} as it has unknowns, so nothing checks them: a mistake in "
+            "one of them is in the tool. Measure one more pose with it.",
+        )
+    return Verdict(told, shown)
 
 
 def remarks(fit: Fit) -> tuple[Finding, ...]:

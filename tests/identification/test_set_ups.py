@@ -285,3 +285,19 @@ def test_a_set_up_of_as_many_numbers_as_unknowns_is_not_trusted(
     said = [doubt for doubt in found.doubts if doubt.startswith("In set-up 'right' as many numbers were measured as ")]
     assert bool(said) == doubted
     assert found.trusted == (not doubted), found.doubts
+
+
+@pytest.mark.parametrize(
+    ("rows", "observes", "alone"), [(1, "position", True), (2, "position", False), (1, "pose", True)]
+)
+def test_a_tool_of_as_many_numbers_as_unknowns_is_said_to_be_unchecked(
+    cell: Cell, rows: int, observes: str, alone: bool
+) -> None:
+    """One place explains it, so it is no doubt; but a mistake in that row would go into the tool without a trace."""
+    model = machines.model(cell.robot, offsets="all", placements="all", tool=observes)
+    found = calib.assess(calib.identify(model, [cell.measure("left"), cell.measure("left", rows, observes, "long")]))
+    assert found.trusted, found.doubts
+    assert [sentence for sentence in found.shown if "were measured with the tool 'long' as" in sentence] == [
+        "As many numbers were measured with the tool 'long' as it has unknowns, so nothing checks them: a mistake in "
+        "one of them is in the tool. Measure one more pose with it."
+    ] * alone
