@@ -60,8 +60,9 @@ def verification_lines(found: Verification) -> list[str | Text]:
         else:
             left = figures_in("m", anew.metrics["position"].rms)[0]
             lines.append(
-                f"A base moved by {by} leaves {left} mm rms, more than the stated uncertainty explains: the arm itself "
-                "has changed, it bears a load or a temperature that was not told, or its uncertainty is stated too small."
+                f"A base moved by {by} leaves {left} mm rms, more than the stated uncertainty explains: the arm "
+                "itself has changed, it bears a load or a temperature that was not told, or its uncertainty is stated "
+                "too small."
             )
     lines.append(Text("Passed." if found.passed else "Failed.", style="bold green" if found.passed else "bold red"))
     return lines
