@@ -49,13 +49,14 @@ class Told(NamedTuple):
     """What messages of a type can become: ``of`` is "joints", "pose", "point", or "" for none of them.
 
     ``point`` and ``turn`` are the fields to go through to a point and to a quaternion, ``stamped`` says whether a
-    header has a time, ``frames`` whether this holds of every transform in a message.
+    header has a time, ``framed`` whether it names a frame, ``frames`` whether all this is of every transform in it.
     """
 
     of: str
     point: tuple[str, ...] = ()
     turn: tuple[str, ...] = ()
     stamped: bool = False
+    framed: bool = False
     frames: bool = False
 
 
@@ -89,7 +90,8 @@ def _placed(types: Types, fields: _Fields) -> Told:
     point, turn = _within(types, fields, *_POINT), _within(types, fields, *_TURN)
     if point is None:
         return Told("")
-    return Told("point" if turn is None else "pose", point, turn or (), _stamped(types, fields))
+    framed = _is_text(_part(types, fields, "header").get("frame_id"))
+    return Told("point" if turn is None else "pose", point, turn or (), _stamped(types, fields), framed)
 
 
 def _within(

@@ -32,6 +32,8 @@ _TITLES = {
 }
 # Of one message: its time in s, and the names and positions of joints.
 _Joints = tuple[float, tuple[str, ...], tuple[float, ...]]
+# The frame in which a point is told, "" where nobody says, and the numbers of its row.
+_Point = tuple[str, list[float]]
 _LARGEST_METADATA = 1_000_000
 # Parts of its YAML: topics have some dozens each, and a second of processor time is needed for ten thousand.
 _MOST_METADATA = 30_000
@@ -77,7 +79,7 @@ def read_topic(path: Path, name: str) -> Sheet:
     Raises MeasurementError when there is no such topic, or when it has neither joints nor points.
     """
     of, kinds, others = "", list[str](), 0
-    joints, points = list[_Joints](), list[list[float]]()
+    joints, points = list[_Joints](), list[_Point]()
     with _opened(path) as reader:
         zero = int(reader.start_time)
         for _, kind, told, time, message in _messages(reader, path, name):
@@ -90,7 +92,8 @@ def read_topic(path: Path, name: str) -> Sheet:
             if of == "joints":
                 joints.append((seconds, tuple(message.name), tuple(map(float, message.position))))
             else:
-                points.append([seconds, *_point_of(message, told)])
+                frame = message.header.frame_id.removeprefix("/") if told.framed else ""
+                points.append((frame, [seconds, *_point_of(message, told)]))
     if not kinds:
         known = [topic.name for topic in topics(path)]
         close = near(name, known, most=1)
@@ -101,7 +104,7 @@ def read_topic(path: Path, name: str) -> Sheet:
     if not of:
         raise MeasurementError(f"{path}: messages of {shown(name)} are {shown(kinds[0])}: neither joints nor points.")
     at = f"{path}: {shown(name)}"
-    titles, rows, remarks = _joint_rows(joints, at) if of == "joints" else (_TITLES[of], points, [])
+    titles, rows, remarks = _joint_rows(joints, at) if of == "joints" else (_TITLES[of], *_point_rows(points))
     if others:
         remarks.append(f"{counted(others, 'message')} of another type left out")
     if not rows:
@@ -135,6 +138,17 @@ def _joint_rows(told: list[_Joints], at: str) -> tuple[tuple[str, ...], list[lis
     if many < len(told):
         remarks.append(f"{counted(len(told) - many, 'message')} of other joints, or without positions, left out")
     return ("time [s]", *(f"{name} [rad]" for name in names)), rows, remarks
+
+
+def _point_rows(told: list[_Point]) -> tuple[list[list[float]], list[str]]:
+    """Return rows and remarks of points: of the frame in which most of them are told, as numbers of others differ."""
+    frames = Counter(frame for frame, _ in told)
+    common = frames.most_common(1)[0][0]
+    others = [frame for frame in frames if frame != common]
+    remarks = [
+        f"{counted(len(told) - frames[common], 'message')} in {listed(others)} left out: rows are in {shown(common)}"
+    ]
+    return [row for frame, row in told if frame == common], remarks if others else []
 
 
 def _point_of(message: Any, told: Told) -> list[float]:
