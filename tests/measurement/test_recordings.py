@@ -446,6 +446,73 @@ def test_what_an_index_of_ros1_points_to_is_read_no_more_often_than_its_limit(
         topics(path)
 
 
+def of_mcap(path: Path, order: list[int], *, chunk: bool, index: bool = True) -> Path:
+    """A recording of poses in MCAP, written by hand in this order: ``x`` of each is its number, and so are its ms.
+
+    ``index``: a chunk has an index of its messages, which writers may leave out.
+    """
+    made = of_poses(path.with_suffix(""), "/p", "geometry_msgs/msg/PoseStamped", [("w", float(k)) for k in range(9)])
+    inside = (made / f"{made.name}.mcap").read_bytes()
+    at = inside.index(b"\x06", 9 + struct.unpack_from("<Q", inside, 9)[0] + 8)
+    (length,) = struct.unpack_from("<Q", inside, at + 1)
+    head, raw = inside[:at], inside[at + 9 + 40 : at + 9 + length]  # of a chunk that is not packed
+    before, messages, place = b"", list[bytes](), 0
+    while place < len(raw):
+        end = place + 9 + struct.unpack_from("<Q", raw, place + 1)[0]
+        if raw[place] == 5:
+            messages.append(raw[place:end])
+        else:
+            before += raw[place:end]
+        place = end
+    written = b"".join(messages[k] for k in order)
+
+    def record(op: int, data: bytes) -> bytes:
+        return struct.pack("<BQ", op, len(data)) + data
+
+    def text(data: bytes) -> bytes:
+        return struct.pack("<I", len(data)) + data
+
+    begin, end = BEGIN, BEGIN + 8_000_000
+    body, chunks = before + written, b""
+    if chunk:
+        packed = record(
+            6, struct.pack("<QQQI", begin, end, len(body), 0) + text(b"") + struct.pack("<Q", len(body)) + body
+        )
+        listed, offsets = b"", b""
+        if index:
+            times = b"".join(struct.pack("<QQ", BEGIN + 1_000_000 * k, 0) for k in order)
+            listed = record(7, struct.pack("<H", 1) + text(times))
+            offsets = struct.pack("<HQ", 1, len(head) + len(packed))
+        chunks = record(
+            8,
+            struct.pack("<QQQQ", begin, end, len(head), len(packed))
+            + text(offsets)
+            + struct.pack("<Q", len(listed))
+            + text(b"")
+            + struct.pack("<QQ", len(body), len(body)),
+        )
+        body = packed + listed
+    told = record(11, struct.pack("<QHIIIIQQ", 9, 1, 1, 0, 0, int(chunk), begin, end) + text(struct.pack("<HQ", 1, 9)))
+    last = record(2, struct.pack("<QQI", len(head) + len(body), 0, 0)) + b"\x89MCAP0\r\n"
+    path.write_bytes(head + body + before + chunks + told + last)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("chunk", "index", "order"),
+    [(True, False, [*range(9)]), (False, True, [*range(9)]), (False, True, [0, 1, 3, 2, 4, 5, 8, 6, 7])],
+)
+def test_mcap_is_read_without_indexes_and_in_any_order(
+    chunk: bool, index: bool, order: list[int], tmp_path: Path
+) -> None:
+    path = of_mcap(tmp_path / "r.mcap", order, chunk=chunk, index=index)
+    assert [topic.messages for topic in topics(path)] == [9]
+    sheet = read_topic(path, "/p")
+    np.testing.assert_allclose(numbers(sheet)[:, :2], [[0.001 * k, k] for k in range(9)], atol=1e-9)
+    said = ["2 messages came behind later ones: rows are in the order of their times"]
+    assert list(sheet.remarks[1:]) == (said if order != sorted(order) else [])
+
+
 def test_empty_records_of_mcap_are_counted(tmp_path: Path) -> None:
     """A file of 390 kB had ten million of them, which were gone through four times."""
     unpacker = unpacking.Unpacker(tmp_path, 1000)

@@ -8,6 +8,8 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -115,6 +117,9 @@ def read_topic(path: Path, name: str) -> Sheet:
         raise MeasurementError(f"{at}: every message has a number that is none (nan or inf).")
     if lost := len(rows) - len(known_rows):
         remarks.append(f"{counted(lost, 'message')} with a number that is none (nan or inf) left out")
+    if late := sum(after[0] < before[0] for before, after in pairwise(known_rows)):
+        known_rows.sort(key=itemgetter(0))
+        remarks.append(f"{counted(late, 'message')} came behind later ones: rows are in the order of their times")
     said = f"time 0 is {_NANO * zero:.3f} s of the recording's clock"
     return Sheet(titles, tuple(tuple(map(repr, row)) for row in known_rows), str(path), (said, *remarks))
 

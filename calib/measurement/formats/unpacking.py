@@ -158,6 +158,18 @@ def limited(where: Path, size: int) -> Iterator[None]:
             if self.read > size:
                 raise MeasurementError(f"{where}: has indexes that are larger than the file.")
 
+    class Mcap(of_mcap.McapReader):  # type: ignore[misc]
+        """Reads chunks that say nothing of what is in them, and messages in the order in which they were written."""
+
+        def messages(self, connections: Any, start: Any = None, stop: Any = None) -> Any:
+            if not self.chunks:
+                yield from self.messages_scan(connections, start, stop)
+                return
+            for chunk in self.chunks:
+                if not chunk.message_index_offsets:
+                    chunk.channel_count.update((one.id, 1) for one in connections)
+            yield from super().messages(connections, start, stop)
+
     def bytes_of(read: Callable[[Any, int], bytes], source: Any, many: int) -> bytes:
         return unpacker.as_it_is(read(source, many))
 
@@ -186,8 +198,8 @@ def limited(where: Path, size: int) -> Iterator[None]:
         (of_ros1.decompressors, ros1),
         (of_mcap.DECOMPRESSORS, mcap),
         (vars(of_ros2), {"zstd": of_messages}),
-        (vars(of_ros2.DirectoryReader)["STORAGE_PLUGINS"], {"sqlite3": database}),
-        (vars(of_ros2.Reader)["STORAGE_PLUGINS"], {".db3": database}),
+        (vars(of_ros2.DirectoryReader)["STORAGE_PLUGINS"], {"sqlite3": database, "mcap": Mcap}),
+        (vars(of_ros2.Reader)["STORAGE_PLUGINS"], {".db3": database, ".mcap": Mcap}),
     )
     before = [dict(table) for table, _ in tables]
     apsw.connection_hooks.append(counted)
