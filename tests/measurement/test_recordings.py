@@ -513,6 +513,116 @@ def test_mcap_is_read_without_indexes_and_in_any_order(
     assert list(sheet.remarks[1:]) == (said if order != sorted(order) else [])
 
 
+def of_defined(path: Path, encoding: str, definition: str) -> Path:
+    """Joints, defined so, and a topic that nobody here can read, as a database of ROS 2 has them since Iron."""
+    import sqlite3
+
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    T, kind = store.types, "sensor_msgs/msg/JointState"
+    head = T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](1_700_000_000, 0), "")
+    raw = store.serialize_cdr(T[kind](head, ["a"], np.ones(1), np.zeros(0), np.zeros(0)), kind)
+    with sqlite3.connect(path) as database:
+        database.executescript(
+            """
+            CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
+            INSERT INTO schema VALUES (4, 'jazzy');
+            CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
+              serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL,
+              type_description_hash TEXT NOT NULL);
+            CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
+              data BLOB NOT NULL);
+            CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL, encoding TEXT NOT NULL,
+              encoded_message_definition TEXT NOT NULL, type_description_hash TEXT NOT NULL);
+            INSERT INTO topics VALUES (1, '/j', 'sensor_msgs/msg/JointState', 'cdr', '', ''),
+              (2, '/x', 'some_msgs/msg/Own', 'cdr', '', '');
+            INSERT INTO message_definitions VALUES (2, 'std_msgs/msg/String', 'ros2msg', 'string data', '');
+            """
+        )
+        database.execute("INSERT INTO message_definitions VALUES (1, ?, ?, ?, '')", (kind, encoding, definition))
+        for topic, encoded, text in (
+            (3, "unknown", ""),
+            (4, "ros2msg", "wstring<=5 name"),
+            (5, "ros2msg", "string name"),
+        ):
+            own = f"some_msgs/msg/Own{topic}"
+            database.execute("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '', '')", (topic, f"/{topic}", own))
+            database.execute("INSERT INTO message_definitions VALUES (?, ?, ?, ?, '')", (topic, own, encoded, text))
+        for topic in range(1, 6):
+            database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", (topic, BEGIN, raw))
+    database.close()
+    return path
+
+
+_HEADER = f"""\
+{"=" * 80}
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+{"=" * 80}
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_JOINTS = f"std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n{_HEADER}"
+_JOINTS_OMG = f"""\
+{"=" * 80}
+IDL: sensor_msgs/msg/JointState
+// generated from rosidl_adapter/resource/msg.idl.em
+
+#include "std_msgs/msg/Header.idl"
+
+module sensor_msgs {{ module msg {{ struct JointState {{
+  std_msgs::msg::Header header; sequence<string> name;
+  sequence<double> position; sequence<double> velocity; sequence<double> effort; }}; }}; }};
+{"=" * 80}
+IDL: std_msgs/msg/Header
+#include "builtin_interfaces/msg/Time.idl"
+module std_msgs {{ module msg {{ struct Header {{ builtin_interfaces::msg::Time stamp; string frame_id; }}; }}; }};
+{"=" * 80}
+IDL: builtin_interfaces/msg/Time
+module builtin_interfaces {{ module msg {{ struct Time {{ int32 sec; uint32 nanosec; }}; }}; }};
+"""
+
+
+@pytest.mark.parametrize(
+    ("encoding", "definition"),
+    [
+        ("ros2msg", _JOINTS),
+        ("ros2msg", _JOINTS.replace("\n", "\r\n")),
+        ("ros2idl", _JOINTS_OMG),
+        ("unknown", ""),
+        ("ros2msg", "wstring<=5 of_somebody_else"),
+    ],
+    ids=["as usual", "of Windows", "of OMG", "not found", "not parsed"],
+)
+def test_topics_are_read_beside_others_that_cannot_be(encoding: str, definition: str, tmp_path: Path) -> None:
+    path = of_defined(tmp_path / "r.db3", encoding, definition)
+    assert [topic.of for topic in topics(path)] == ["", "", "", "joints", ""]
+    assert read_topic(path, "/j").titles == ("time [s]", "a [rad]")
+    with pytest.raises(MeasurementError, match="neither joints nor points"):
+        read_topic(path, "/3")
+
+
+def test_channels_of_mcap_that_are_not_of_ros_are_passed_over(tmp_path: Path) -> None:
+    path = of_mcap(tmp_path / "r.mcap", [*range(9)], chunk=False)
+    data = path.read_bytes()
+
+    def text(words: bytes) -> bytes:
+        return struct.pack("<I", len(words)) + words
+
+    schema = struct.pack("<H", 7) + text(b"foxglove.Log") + text(b"jsonschema") + text(b"{}")
+    channel = struct.pack("<HH", 7, 7) + text(b"/log") + text(b"json") + text(b"")
+    at = data.index(b"\x03", 9 + struct.unpack_from("<Q", data, 9)[0] + 8)
+    more = b"".join(struct.pack("<BQ", op, len(one)) + one for op, one in ((3, schema), (4, channel)))
+    (start,) = struct.unpack_from("<Q", data, len(data) - 28)
+    end = data[:-28] + struct.pack("<Q", start + len(more)) + data[-20:]
+    path.write_bytes(end[:at] + more + end[at:start] + more + end[start:])
+    assert [topic.name for topic in topics(path)] == ["/p"]
+    assert len(read_topic(path, "/p").rows) == 9
+
+
 def test_empty_records_of_mcap_are_counted(tmp_path: Path) -> None:
     """A file of 390 kB had ten million of them, which were gone through four times."""
     unpacker = unpacking.Unpacker(tmp_path, 1000)

@@ -7,7 +7,7 @@ allows. Types are those of rosbags: constants and fields of every name, and of a
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -143,32 +143,52 @@ def _is_number(description: Any, kinds: frozenset[str]) -> bool:
 
 
 class Definitions:
-    """Gives rosbags the types of the definitions of one recording, as long as they are not too many."""
+    """Gives rosbags the types of the definitions of one recording, as long as they are not too many.
 
-    def __init__(self, where: Path) -> None:
+    ``parsers``: the module of rosbags that has its own.
+    """
+
+    def __init__(self, where: Path, parsers: Any) -> None:
         self._where = where
+        self._of_messages, self._of_idl = parsers.get_types_from_msg, parsers.get_types_from_idl
+        self._wrong: type[Exception] = parsers.TypesysError
         self._left = MOST_STEPS
         self._known: dict[tuple[str, ...], Any] = {}
 
-    def of_messages(self, parse: Callable[[str, str], Any], text: str, name: str) -> Any:
+    def legible(self, topic: Any) -> Any:
+        """Return a topic without its definition where that cannot be parsed: others may be of use."""
+        form, text = topic.msgdef
+        try:
+            if form.name == "MSG":
+                self.of_messages(text, topic.msgtype)
+            elif form.name == "IDL":
+                parts = text.split(_RULE)[1:] if text.startswith(f"{_RULE}IDL: ") else [f"\n{text}"]
+                for part in parts:
+                    self.of_idl(part.partition("\n")[2])
+        except self._wrong:
+            return topic._replace(msgdef=topic.msgdef._replace(format=type(form).NONE, data=""), digest="")
+        return topic
+
+    def of_messages(self, text: str, name: str) -> Any:
         """Return the types of a definition in ROS's own language."""
         if (text, name) not in self._known:
-            lines = [line for line in text.split("\n") if line.strip() and not line.lstrip().startswith("#")]
+            every = text.replace("\r\n", "\n").split("\n")
+            lines = [line for line in every if line.strip() and not line.lstrip().startswith("#")]
             self._take(len(lines) + sum(line.count(",") for line in lines))
-            self._known[text, name] = self._narrow(parse("".join(f"{line}\n" for line in lines), name))
+            self._known[text, name] = self._narrow(self._of_messages("".join(f"{line}\n" for line in lines), name))
         return self._known[text, name]
 
-    def of_idl(self, parse: Callable[[str], Any], text: str) -> Any:
+    def of_idl(self, text: str) -> Any:
         """Return the types of a definition in OMG's language, without its notes; it may compute nothing.
 
         The parser looks a hundred times longer for the end of every bracket that is inside of another.
         """
         if (text,) not in self._known:
-            bare = _NOTES.sub(" ", _COMMENTS.sub(_blanked, text))
+            bare = _NOTES.sub(" ", _INCLUDES.sub("", _COMMENTS.sub(_blanked, text)))
             if computed := _COMPUTES.search(_STRINGS.sub("", bare)):
                 raise MeasurementError(f"{self._where}: computes a number in a definition ({shown(computed[0])}).")
             self._take(sum(map(bare.count, ";,{+-")) + _DEAR * len(_LOOKED_FOR.findall(bare)))
-            self._known[(text,)] = self._narrow(parse(bare))
+            self._known[(text,)] = self._narrow(self._of_idl(bare))
         return self._known[(text,)]
 
     def _narrow(self, types: Types) -> Types:
@@ -184,8 +204,11 @@ class Definitions:
             raise MeasurementError(f"{self._where}: defines too much: its messages have more than {MOST_STEPS} fields.")
 
 
+# Between the definitions of a type in OMG's language and of those that are parts of it.
+_RULE = f"{'=' * 80}\n"
 _STRINGS = re.compile(r'"(?:\\.|[^"\\])*"')
 _COMMENTS = re.compile(rf"{_STRINGS.pattern}|/\*.*?\*/|//[^\n]*", re.DOTALL)
+_INCLUDES = re.compile(r"^[^\S\n]*#[^\n]*", re.MULTILINE)
 _NOTES = re.compile(rf"@\s*[\w:]+(?:\s*\((?:{_STRINGS.pattern}|[^()\"])*\))?")
 _COMPUTES = re.compile(r"[(*/%~^&|]|<<")
 _LOOKED_FOR = re.compile(r"\b(?:const|typedef|struct|enum|union|bitset|bitmask|map)\b|[<\[]")

@@ -237,17 +237,27 @@ def _opened(path: Path) -> Iterator[Any]:
         raise MeasurementError(
             f"{path}: recordings of ROS need the package rosbags: pip install 'urdf-calib[bags]'."
         ) from e
+    # Those of ROS 1 define all their messages, whose headers are others.
+    usual = None if path.suffix == ".bag" else get_typestore(Stores.ROS2_HUMBLE)
     try:
         _refuse_metadata(path / "metadata.yaml")
         with (
             limited(path, _size(path)),
-            AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader,
+            AnyReader([path], default_typestore=usual) as reader,
         ):
+            _define(reader, usual)
             yield reader
     except MeasurementError:
         raise
     except (AnyReaderError, Rosbag1Error, Rosbag2Error, SqliteError, YAMLError, *DAMAGED) as e:
         raise MeasurementError(f"{path}: is no recording that can be read ({type(e).__name__}).") from e
+
+
+def _define(reader: Any, usual: Any) -> None:
+    """Give types that a recording does not define their ``usual`` definitions, where there are any."""
+    known = reader.typestore.fielddefs
+    if usual is not None and any(one.msgtype not in known for one in reader.connections):
+        reader.typestore.register({kind: usual.fielddefs[kind] for kind in usual.fielddefs.keys() - known.keys()})
 
 
 def _size(path: Path) -> int:

@@ -141,15 +141,29 @@ def limited(where: Path, size: int) -> Iterator[None]:
 
     def database(path: Any) -> Any:
         refuse_computed(Path(str(path)))
-        return of_ros2.Sqlite3Reader(path)
+        return Database(path)
 
     def counted(connection: Any) -> None:
         connection.set_progress_handler(unpacker.steps, _STEPS_AT_ONCE)
 
-    class Indexed(of_ros1.Reader):  # type: ignore[misc]  # rosbags is an extra, which is not looked at
+    class Database(of_ros2.Sqlite3Reader):  # type: ignore[misc]  # rosbags is an extra, which is not looked at
+        """Has no definitions that were not found when they were recorded: rosbags does not know their encoding."""
+
+        def open(self) -> None:
+            apsw.connection_hooks.append(_without_unknown)
+            try:
+                super().open()
+            finally:
+                apsw.connection_hooks.remove(_without_unknown)
+
+    class Indexed(of_ros1.Reader):  # type: ignore[misc]
         """Reads no more of indexes than the file has: chunks may share one."""
 
         read = 0
+
+        def open(self) -> None:
+            super().open()
+            self.connections: list[Any] = list(map(definitions.legible, self.connections))
 
         def read_index_data(self, pos: int, indexes: Any) -> None:
             before = self.bio.tell() if self.bio else 0
@@ -157,18 +171,6 @@ def limited(where: Path, size: int) -> Iterator[None]:
             self.read += (self.bio.tell() if self.bio else 0) - before
             if self.read > size:
                 raise MeasurementError(f"{where}: has indexes that are larger than the file.")
-
-    class Mcap(of_mcap.McapReader):  # type: ignore[misc]
-        """Reads chunks that say nothing of what is in them, and messages in the order in which they were written."""
-
-        def messages(self, connections: Any, start: Any = None, stop: Any = None) -> Any:
-            if not self.chunks:
-                yield from self.messages_scan(connections, start, stop)
-                return
-            for chunk in self.chunks:
-                if not chunk.message_index_offsets:
-                    chunk.channel_count.update((one.id, 1) for one in connections)
-            yield from super().messages(connections, start, stop)
 
     def bytes_of(read: Callable[[Any, int], bytes], source: Any, many: int) -> bytes:
         return unpacker.as_it_is(read(source, many))
@@ -182,24 +184,32 @@ def limited(where: Path, size: int) -> Iterator[None]:
             src.seek(-4, SEEK_CUR)
             return super().read(src, expect)
 
-    definitions = Definitions(where)
-    parsers = {
+    class Storage(of_ros2.Reader):  # type: ignore[misc]
+        @property
+        def connections(self) -> list[Any]:
+            return list(map(definitions.legible, super().connections))
+
+    definitions = Definitions(where, anyreader)
+    parsers: dict[str, Any] = {
         "Reader1": Indexed,
-        "get_types_from_msg": partial(definitions.of_messages, anyreader.get_types_from_msg),
-        "get_types_from_idl": partial(definitions.of_idl, anyreader.get_types_from_idl),
+        "Reader2": Storage,
+        "get_types_from_msg": definitions.of_messages,
+        "get_types_from_idl": definitions.of_idl,
     }
+    mcap_reader = _mcap_reader(of_mcap)
 
     # How messages were sent is YAML in the metadata, a database or a channel; it takes no part, and is not read.
     unread: dict[str, Any] = {"parse_qos": lambda _: []}
     tables: tuple[tuple[Any, dict[str, Any]], ...] = (
         *((vars(module), unread) for module in (of_ros2, of_mcap, of_sqlite)),
         (vars(anyreader), parsers),
+        (vars(of_mcap), {"get_msgdef": partial(_of_channel, of_mcap.get_msgdef)}),
         (vars(of_ros1), {"Header": Header, "read_bytes": partial(bytes_of, of_ros1.read_bytes)}),
         (of_ros1.decompressors, ros1),
         (of_mcap.DECOMPRESSORS, mcap),
         (vars(of_ros2), {"zstd": of_messages}),
-        (vars(of_ros2.DirectoryReader)["STORAGE_PLUGINS"], {"sqlite3": database, "mcap": Mcap}),
-        (vars(of_ros2.Reader)["STORAGE_PLUGINS"], {".db3": database, ".mcap": Mcap}),
+        (vars(of_ros2.DirectoryReader)["STORAGE_PLUGINS"], {"sqlite3": database, "mcap": mcap_reader}),
+        (vars(of_ros2.Reader)["STORAGE_PLUGINS"], {".db3": database, ".mcap": mcap_reader}),
     )
     before = [dict(table) for table, _ in tables]
     apsw.connection_hooks.append(counted)
@@ -211,6 +221,42 @@ def limited(where: Path, size: int) -> Iterator[None]:
         apsw.connection_hooks.remove(counted)
         for (table, _), was in zip(tables, before, strict=True):
             table.update(was)
+
+
+def _without_unknown(database: Any) -> None:
+    """Put a view in the place of the table of definitions of a database."""
+    database.execute(
+        "CREATE TEMP VIEW message_definitions AS SELECT * FROM main.message_definitions "
+        "WHERE encoding IN ('ros2msg', 'ros2idl')"
+    )
+
+
+def _mcap_reader(of_mcap: Any) -> Any:
+    """Return a reader of MCAP that needs no index of messages, and takes messages in the order in which they are."""
+
+    class Mcap(of_mcap.McapReader):  # type: ignore[misc]  # rosbags is an extra, which is not looked at
+        def read_index(self) -> None:
+            super().read_index()
+            # When messages were recorded is told by statistics, or else by indexes.
+            if self.statistics is None and not all(chunk.message_index_offsets for chunk in self.chunks):
+                self.meta_scan()
+
+        def messages(self, connections: Any, start: Any = None, stop: Any = None) -> Any:
+            if not self.chunks:
+                yield from self.messages_scan(connections, start, stop)
+                return
+            for chunk in self.chunks:
+                if not chunk.message_index_offsets:
+                    chunk.channel_count.update((one.id, 1) for one in connections)
+            yield from super().messages(connections, start, stop)
+
+    return Mcap
+
+
+def _of_channel(told: Callable[[Any], Any], schema: Any) -> Any:
+    """Return the definition of a channel's messages: none of JSON, Protobuf and others, which may be beside ROS's."""
+    is_known = schema is None or schema.encoding in ("ros2msg", "ros2idl", "omgidl", "")
+    return told(schema if is_known else None)
 
 
 def refuse_computed(path: Path) -> None:
