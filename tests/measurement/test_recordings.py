@@ -229,6 +229,14 @@ def test_numbers_that_are_none_are_left_out_and_said(tmp_path: Path) -> None:
         read_topic(of_joints(tmp_path / "r2", "/j", [(["a"], [np.nan])]), "/j")
 
 
+def test_joints_without_positions_are_left_out_and_said(tmp_path: Path) -> None:
+    told = [(["a", "wheel", "b"], [1.0, np.nan, 3.0]), (["wheel", "a", "b"], [np.nan, 1.5, np.nan])]
+    sheet = read_topic(of_joints(tmp_path / "r", "/j", told), "/j")
+    assert sheet.titles == ("time [s]", "a [rad]", "b [rad]")
+    np.testing.assert_allclose(numbers(sheet)[:, 1:], [[1.0, 3.0]])
+    assert "'wheel' has no position in any message, and is left out" in sheet.remarks
+
+
 @pytest.mark.parametrize("names", [["a", "a"], ["a", " "]])
 def test_joints_need_names_of_their_own(names: list[str], tmp_path: Path) -> None:
     with pytest.raises(MeasurementError, match=r"r: '/j': has the joints .* each needs a name of its own\.$"):
@@ -603,6 +611,17 @@ def test_topics_are_read_beside_others_that_cannot_be(encoding: str, definition:
     assert read_topic(path, "/j").titles == ("time [s]", "a [rad]")
     with pytest.raises(MeasurementError, match="neither joints nor points"):
         read_topic(path, "/3")
+
+
+@pytest.mark.parametrize("end", ["-wal", "-journal"])
+def test_a_database_that_was_not_closed_is_not_read_in_part(end: str, tmp_path: Path) -> None:
+    path = of_defined(tmp_path / "r.db3", "ros2msg", _JOINTS)
+    beside = path.with_name(f"r.db3{end}")
+    beside.write_bytes(b"messages")
+    with pytest.raises(MeasurementError, match=f"r.db3: was not closed, and r.db3{end} beside it holds what is"):
+        read_topic(path, "/j")
+    beside.write_bytes(b"")  # as SQLite leaves it
+    assert len(read_topic(path, "/j").rows) == 1
 
 
 def test_channels_of_mcap_that_are_not_of_ros_are_passed_over(tmp_path: Path) -> None:

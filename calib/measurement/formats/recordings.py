@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import pairwise
+from itertools import compress, pairwise
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -133,13 +133,22 @@ def _joint_rows(told: list[_Joints], at: str) -> tuple[tuple[str, ...], list[lis
     common, many = sets.most_common(1)[0]
     if len(set(common)) < len(common) or not all(name.strip() for name in common):
         raise MeasurementError(f"{at}: has the joints {listed(common)}; each needs a name of its own.")
-    names, rows = tuple[str, ...](), []
+    times, names, moved = list[float](), tuple[str, ...](), list[list[float]]()
     for time, own, position in found:
         if len(own) == len(position) and tuple(sorted(own)) == common:
             names = names or own
             places = dict(zip(own, position, strict=True))
-            rows.append([time, *(places[name] for name in names)])
+            times.append(time)
+            moved.append([places[name] for name in names])
     remarks = ["joints that slide are in m: change the unit of their columns"]
+    # So does ros2_control tell that a joint, such as a wheel, has none.
+    told_of = [bool(known) for known in np.any(np.isfinite(moved), axis=0)]
+    if unknown := [name for name, known in zip(names, told_of, strict=True) if not known and any(told_of)]:
+        what = "has no position in any message, and is" if len(unknown) == 1 else "have no position, and are"
+        remarks.append(f"{listed(unknown)} {what} left out")
+        names = tuple(compress(names, told_of))
+        moved = [list(compress(row, told_of)) for row in moved]
+    rows = [[time, *row] for time, row in zip(times, moved, strict=True)]
     if many < len(told):
         remarks.append(f"{counted(len(told) - many, 'message')} of other joints, or without positions, left out")
     return ("time [s]", *(f"{name} [rad]" for name in names)), rows, remarks

@@ -16,6 +16,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from calib.foundations.errors import MeasurementError
+from calib.foundations.files import is_there
 from calib.measurement.formats.message_types import Definitions
 
 # One chunk, and one message packed by itself; writers make chunks of some megabytes.
@@ -262,14 +263,21 @@ def _of_channel(told: Callable[[Any], Any], schema: Any) -> Any:
 def refuse_computed(path: Path) -> None:
     """Raise MeasurementError for a database of which a view, a trigger or a column computes what is read.
 
-    Also where a page is part of more than one tree, or twice of one: SQLite would go through it as often as it is
-    pointed to, which some hundred pages can do without end. Raises errors of SQLite for a file that is none.
+    Also where a part of it is in a file beside it, which a reader who may change nothing does not see; and where a page
+    is part of more than one tree, or twice of one: SQLite would go through it as often as it is pointed to, which some
+    hundred pages can do without end. Raises errors of SQLite for a file that is none.
     """
     import apsw  # noqa: PLC0415 - an extra
 
     # The reader of recordings puts the name into an address as it is.
     if any(mark in str(path) for mark in "?#%"):
         raise MeasurementError(f"{path}: its name has ?, # or %; rename it.")
+    for beside in (path.with_name(f"{path.name}{end}") for end in ("-wal", "-journal")):
+        if is_there(beside, Path.is_file) and beside.stat().st_size:
+            raise MeasurementError(
+                f"{path}: was not closed, and {beside.name} beside it holds what is not in it; open it once by "
+                "sqlite3, and let it do PRAGMA wal_checkpoint(TRUNCATE)."
+            )
     flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
     database = apsw.Connection(path.absolute().as_uri() + "?immutable=1", flags=flags)
     try:
