@@ -163,6 +163,21 @@ def test_other_topics_and_damaged_files_are_refused(recorded: Path, tmp_path: Pa
         topics(tmp_path / "none.bag")
 
 
+def test_why_a_recording_cannot_be_read_is_said(tmp_path: Path) -> None:
+    path = recording(tmp_path, "ros1")
+    data = path.read_bytes()
+    at = data.index(b"index_pos=") + len(b"index_pos=")
+    path.write_bytes(data[:at] + bytes(8) + data[at + 8 :])  # as it is while it is recorded
+    with pytest.raises(
+        MeasurementError, match=r"can be read; rosbags says 'Bag is not indexed, reindex before reading\.'"
+    ):
+        topics(path)
+    cut = of_mcap(tmp_path / "cut.mcap", [*range(9)], chunk=True)
+    cut.write_bytes(cut.read_bytes()[:-20])
+    with pytest.raises(MeasurementError, match=r"can be read; rosbags says 'File end magic is invalid\.'"):
+        topics(cut)
+
+
 def of_joints(path: Path, topic: str, told: list[tuple[list[str], list[float]]]) -> Path:
     """A recording of one topic of joints, with these names and positions."""
     from rosbags.rosbag2 import StoragePlugin, Writer

@@ -258,7 +258,10 @@ def _opened(path: Path) -> Iterator[Any]:
             yield reader
     except MeasurementError:
         raise
-    except (AnyReaderError, Rosbag1Error, Rosbag2Error, SqliteError, YAMLError, *DAMAGED) as e:
+    except (AnyReaderError, Rosbag1Error, Rosbag2Error) as e:
+        # Such as that it has no index, or another profile.
+        raise MeasurementError(f"{path}: is no recording that can be read; rosbags says {shown(str(e))}.") from e
+    except (SqliteError, YAMLError, *DAMAGED) as e:
         raise MeasurementError(f"{path}: is no recording that can be read ({type(e).__name__}).") from e
 
 
