@@ -51,9 +51,8 @@ class Layout:
 def layout(data: bytes, where: str) -> Layout:
     """Return how a table is laid out, by its first lines.
 
-    The header is the first line that has as many cells as the first row of numbers; lines before it are passed over,
-    and so is a line of nothing but units below it. Columns without a header are called ``column 1``, ``column 2``, ...
-    Raises MeasurementError when there is nothing to read.
+    Lines before the header are passed over, and so is a line of nothing but units below it. Columns without a header
+    are called ``column 1``, ``column 2``, ... Raises MeasurementError when there is nothing to read.
     """
     first = beginning(data, where)[:_LOOKED_AT]
     plain = [line for line in first if not is_comment(line.text)]
@@ -66,12 +65,9 @@ def layout(data: bytes, where: str) -> Layout:
     separator = _separator([line.text for line in plain])
     remarks = [f"cells are separated by {_NAMES[separator]}"] if separator in _NAMES else []
     rows = [cells(line.text, separator, f"{where}:{line.number}") for line in plain]
-    data_row = next((i for i, row in enumerate(rows) if _is_data(row, separator)), None)
-    if data_row == 0:
+    if _is_data(rows[0], separator):
         return _without_header(first, plain[0], rows[0], separator, remarks)
-    like_data = [i for i in range(data_row or 0) if len(rows[i]) == len(rows[data_row or 0])]
-    header = like_data[0] if like_data else 0
-    if header:
+    if header := header_of(rows, separator):
         remarks.append(f"{counted(header, 'line')} before the header passed over")
     units: tuple[str, ...] = ("",) * len(rows[header])
     last = plain[header].number
@@ -120,6 +116,22 @@ def _separator(lines: Sequence[str]) -> str:
     return ";" if ";" in lines[0] and "," not in lines[0] else ","
 
 
+def header_of(rows: Sequence[Sequence[str]], separator: str) -> int:
+    """Return which of the first rows of a table is its header.
+
+    It is the first one that has as many cells as the first row of numbers, most of them filled: a spreadsheet fills up
+    every line to the width of the table, those above the header as well.
+    """
+    data_row = next((i for i, row in enumerate(rows) if _is_data(row, separator)), 0)
+    like_data = [i for i in range(data_row) if len(rows[i]) == len(rows[data_row])]
+    return next((i for i in like_data if _is_filled(rows[i])), like_data[0] if like_data else 0)
+
+
+def with_point(cell: str, separator: str) -> str:
+    """Return a number with a point where it has a decimal comma, and other cells as they are."""
+    return cell.replace(",", ".") if separator != "," and "," in cell and is_number(cell, separator) else cell
+
+
 def is_number(cell: str, separator: str) -> bool:
     """Return whether a cell is a number, with a decimal comma where that separates no cells."""
     return NUMBER.fullmatch(cell if separator == "," else cell.replace(",", ".", 1)) is not None
@@ -127,7 +139,12 @@ def is_number(cell: str, separator: str) -> bool:
 
 def _is_data(row: Sequence[str], separator: str) -> bool:
     filled = [cell for cell in row if cell]
-    return bool(filled) and 2 * sum(is_number(cell, separator) for cell in filled) >= len(filled)
+    numbers = sum(is_number(cell, separator) for cell in filled)
+    return bool(filled) and (numbers == len(filled) or (2 * numbers >= len(filled) and _is_filled(row)))
+
+
+def _is_filled(row: Sequence[str]) -> bool:
+    return 2 * sum(map(bool, row)) > len(row)
 
 
 def _are_units(row: Sequence[str]) -> bool:

@@ -279,6 +279,59 @@ def test_the_sheet_that_is_seen_is_read(folder: Path) -> None:
     assert time.process_time() - begun < 10.0
 
 
+def test_of_several_sheets_the_first_that_is_not_empty_is_read_and_the_others_are_said(folder: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    measured = book.create_sheet("measured")
+    measured.append(["a", "b"])
+    measured.append([1.0, 2.0])
+    book.create_sheet("notes").append(["nothing"])
+    book.save(folder / "a.xlsx")
+    found = read_sheet("a.xlsx")
+    assert (found.titles, found.rows) == (("a", "b"), (("1", "2"),))
+    assert found.remarks == ("the sheet 'measured' is read, and not 'Sheet', 'notes'",)
+
+
+@pytest.mark.parametrize("above", [["Arm 7", None, None, None], ["joints", None, "point", None], ["No", 7, None, None]])
+def test_rows_above_the_header_of_a_spreadsheet_are_passed_over(above: list[object], folder: Path) -> None:
+    """It fills up every line to the width of the table."""
+    openpyxl = pytest.importorskip("openpyxl")
+    titles, row = ["J1 [deg]", "J2 [deg]", "X [mm]", "Y [mm]"], ["1,5", 2.5, 3.5, 4.5]  # a number that was pasted
+    book = openpyxl.Workbook()
+    for cells in (above, titles, row):
+        book.active.append(cells)
+    book.save(folder / "a.xlsx")
+    lines = [";".join("" if cell is None else str(cell).replace(".", ",") for cell in cells) for cells in (above, row)]
+    (folder / "a.csv").write_text(f"{lines[0]}\n{';'.join(titles)}\n{lines[1]}\n")
+    for name, said in (
+        ("a.xlsx", "1 row before the header passed over"),
+        ("a.csv", "1 line before the header passed over"),
+    ):
+        found = read_sheet(name)
+        assert (found.titles, found.rows) == (tuple(titles), (("1.5", "2.5", "3.5", "4.5"),))
+        assert found.remarks[-1] == said
+
+
+def test_a_workbook_in_a_language_that_is_not_read_is_to_be_saved_anew(
+    folder: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    openpyxl.Workbook().save(folder / "usual.xlsx")
+    with zipfile.ZipFile(folder / "usual.xlsx") as usual, zipfile.ZipFile(folder / "a.xlsx", "w") as strict:
+        for name in usual.namelist():
+            part = usual.read(name)
+            for of in (b"spreadsheetml", b"officeDocument"):
+                part = part.replace(
+                    b"http://schemas.openxmlformats.org/%b/2006" % of, b"http://purl.oclc.org/ooxml/%b" % of
+                )
+            strict.writestr(name, part)
+    with pytest.raises(
+        calib.MeasurementError, match=r"has no sheet that can be read; save it as .xlsx, and not as Strict"
+    ):
+        read_sheet("a.xlsx")
+    assert not recwarn
+
+
 def test_what_is_too_wide_is_refused_and_not_cut(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     openpyxl = pytest.importorskip("openpyxl")
     titles = [f"c{k}" for k in range(1001)]

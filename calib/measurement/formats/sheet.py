@@ -11,7 +11,7 @@ from calib.foundations.files import read_bytes
 from calib.foundations.words import counted, listed, shown
 from calib.measurement.cells import cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats import arrays, logs, records, workbook
-from calib.measurement.layout import is_number, layout
+from calib.measurement.layout import is_number, layout, with_point
 
 _MOST_COLUMNS = 1000
 # Files other than plain tables are held as cells of text: some hundred bytes each.
@@ -114,14 +114,10 @@ def _of_text(data: bytes, where: str) -> Sheet:
         found = [line for line in block if line.number > form.last]
         split = [cells(line.text, form.separator, f"{where}:{line.number}") for line in found]
         refuse_ragged(split, len(titles), found, where)
-        rows += [tuple(_with_point(cell, form.separator) for cell in row) for row in split]
+        rows += [tuple(with_point(cell, form.separator) for cell in row) for row in split]
     if not rows:
         raise MeasurementError(f"{where}: has a header and no rows.")
     return Sheet(tuple(titles), tuple(rows), where, form.remarks)
-
-
-def _with_point(cell: str, separator: str) -> str:
-    return cell.replace(",", ".") if separator != "," and "," in cell and is_number(cell, separator) else cell
 
 
 def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:

@@ -10,8 +10,8 @@ from xml.etree.ElementTree import Element, iterparse
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
-from calib.foundations.words import shown
-from calib.measurement.layout import is_number
+from calib.foundations.words import counted, listed, shown
+from calib.measurement.layout import header_of, is_number, with_point
 
 # Of the archive unpacked; a workbook of a million cells has some 50 MB.
 _LARGEST = 200_000_000
@@ -26,20 +26,23 @@ _LAST_ROW = 1_048_576
 _PLACE = re.compile(
     rb"""<(?:\w+:)?(?:row\s(?:[^<>]*?\s)?r=["'](\d{1,20})|c\s(?:[^<>]*?\s)?r=["']([A-Z]{1,3})\d{1,20})["']"""
 )
+_FILLED = re.compile(rb"<(?:\w+:)?(?:f|is|v)[\s/>]")
 _FORMULA = re.compile(rb"<(?:\w+:)?f[\s/>]")
 # openpyxl looks for dates in the format of every style, in a time that grows with the square of its length.
 _FORMAT = re.compile(rb"""formatCode\s*=\s*["']([^"'<]*)""")
 _MOST_OF_FORMATS = 2_000_000_000
 # A cell is cut to the first number, but for white space beyond the second: one text may be that of all cells.
 _LONGEST_CELL, _LONGEST_TEXT = 200, 1000
+# Rows among which the header is looked for.
+_LOOKED_AT = 200
 # With the empty cells before the last one of a row. A file may leave them out; written out they have 10 bytes each.
 _MOST_LOOKED_AT = 20_000_000
 
 
 def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]:
-    """Return titles and cells of the first sheet that is not hidden, and no remarks.
+    """Return titles and cells of the first sheet that is not hidden and not empty, and what is not read.
 
-    A first row of numbers is no header. Formulas are as shown.
+    A first row of numbers is no header; rows before a header are passed over. Formulas are as shown.
     """
     try:
         import openpyxl  # noqa: F401, PLC0415 - an extra
@@ -48,14 +51,17 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             _refuse_bombs(archive, len(data), where)
-            sheets = [archive.read(name).replace(b"\0", b"") for name in _sheets(data, where)]  # UTF-16 as well
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of styles and extensions that are not needed
+                sheets = [archive.read(name).replace(b"\0", b"") for name in _sheets(data, where)]  # UTF-16 as well
         for sheet in sheets:
             _refuse_order(sheet, where)
         formulas = any(map(_FORMULA.search, sheets))
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of styles and extensions that are not needed
+            warnings.simplefilter("ignore")
             book = _opened(data)
-            first = next((sheet for sheet in book.worksheets if sheet.sheet_state == "visible"), book.worksheets[0])
+            seen = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"] or book.worksheets[:1]
+            first = next(filter(_is_filled, seen), seen[0])
             rows = _rows(first, where)
             # Not by openpyxl, which works out a shared formula for every cell that has it, however long it is.
             with first._get_source() as part:
@@ -74,10 +80,14 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
     rows = [row + [""] * (width - len(row)) for row in rows]
     if not rows:
         raise MeasurementError(f"{where}: has no rows.")
+    others = [sheet.title for sheet in seen if sheet is not first]
+    remarks = [f"the sheet {shown(first.title)} is read, and not {listed(others)}"] if others else []
     if all(is_number(cell, ",") for cell in rows[0] if cell):
-        return [f"column {k + 1}" for k in range(width)], rows, ()
-    titles = [title or f"column {k + 1}" for k, title in enumerate(rows[0])]
-    return titles, rows[1:], ()
+        return [f"column {k + 1}" for k in range(width)], rows, tuple(remarks)
+    if header := header_of(rows[:_LOOKED_AT], ";"):
+        remarks.append(f"{counted(header, 'row')} before the header passed over")
+    titles = [title or f"column {k + 1}" for k, title in enumerate(rows[header])]
+    return titles, rows[header + 1 :], tuple(remarks)
 
 
 def _refuse_bombs(archive: zipfile.ZipFile, size: int, where: str) -> None:
@@ -106,6 +116,8 @@ def _sheets(data: bytes, where: str) -> list[str]:
     reader = _begun(data)
     known = set(reader.valid_files)
     found = [rel.target for _, rel in reader.parser.find_sheets() if rel.target in known]
+    if not found:
+        raise MeasurementError(f"{where}: has no sheet that can be read; save it as .xlsx, and not as Strict Open XML.")
     if len(set(found)) < len(found):
         raise MeasurementError(f"{where}: has several sheets that are one part of the file; save the workbook again.")
     return found
@@ -133,6 +145,11 @@ def _begun(data: bytes) -> Any:
     reader.read_manifest()
     reader.read_workbook()
     return reader
+
+
+def _is_filled(sheet: Any) -> bool:
+    with sheet._get_source() as part:
+        return _FILLED.search(part.read().replace(b"\0", b"")) is not None
 
 
 def _refuse_order(part: bytes, where: str) -> None:
@@ -211,4 +228,5 @@ def _cell(value: object) -> str:
     if value is None:
         return ""
     text = repr(value) if isinstance(value, float) else str(value)[:_LONGEST_TEXT]
-    return " ".join(text.split())[:_LONGEST_CELL]
+    # No comma separates the cells of a workbook: one of text has a decimal one, as where texts were pasted.
+    return with_point(" ".join(text.split())[:_LONGEST_CELL], ";")
