@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.errors import PoseError
 from calib.foundations.units import DEG, INCH, MM
 from calib.foundations.words import shown
 from calib.identification.arrow import Split
@@ -191,7 +192,7 @@ def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int | No
     """Return the rms over the rows, in m, that base, tool and ordinary offsets leave; turns weigh times the reach.
 
     Gauss-Newton from the best base and tool: priors hold the offsets back while much is unexplained, and limits always.
-    Without ``evaluations``, as many as are usual.
+    Without ``evaluations``, as many as are usual. Where a step opens a closed loop, what was missed before it counts.
     """
     if evaluations is None:
         evaluations = _EVALUATIONS if _seen(sets) else _EVALUATIONS_UNSEEN
@@ -205,7 +206,10 @@ def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int | No
     limit = np.where(of_robot, _MOST_ORDINARY, np.inf)
     least = before = np.inf
     for _ in range(evaluations):
-        data = np.concatenate(evaluate(problem, sigmas, z * s, Split.none(len(z))).triangles)
+        try:
+            data = np.concatenate(evaluate(problem, sigmas, z * s, Split.none(len(z))).triangles)
+        except PoseError:
+            break
         miss = float(np.linalg.norm(data[:, -1])) / float(np.sqrt(sum(map(len, sets))))
         least = min(least, miss)
         if evaluations > _EVALUATIONS and abs(before - miss) < _HARDLY * miss:
@@ -289,13 +293,23 @@ def _trials(
     # A free base costs a search among all rotations, which few mistakes are worth: a linear fit screens them.
     # Of lengths the start shows no tool; one step does.
     screen = (_relaxed_miss if model.base == "pose" else _first_miss) if seen else _second_miss
-    screened = [screen(model, mended(mistake)) for mistake in table]
+    screened = [_reached(screen, model, mended(mistake)) for mistake in table]
     promising = [table[i] for i in np.sort(np.argsort(screened, kind="stable")[:_PROMISING])]
     mistakes = (*promising, *(_not_in_screening(model, chosen, camera_on) if seen else ()))
-    trials = [_Trial(mistake, scope, _miss(model, mended(mistake))) for mistake in mistakes]
+    trials = [_Trial(mistake, scope, _reached(_miss, model, mended(mistake))) for mistake in mistakes]
     least = min(map(_counted, trials))
     # The same to rounding: the order of the table, the most typical first, decides.
     return sorted(trials, key=lambda trial: max(trial.counted, _SAME * least))
+
+
+def _reached(
+    miss: Callable[[ErrorModel, Sequence[Measurements]], float], model: ErrorModel, mended: Sequence[Measurements]
+) -> float:
+    """Return what mended rows miss: without end where the arm cannot take their poses, as with a loop left open."""
+    try:
+        return miss(model, mended)
+    except PoseError:
+        return np.inf
 
 
 def _relaxed_miss(model: ErrorModel, sets: Sequence[Measurements]) -> float:

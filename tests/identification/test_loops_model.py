@@ -1,5 +1,6 @@
 """A machine with a parallelogram: how much of it positions see, and a truth that is found again."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -137,3 +138,19 @@ def test_a_pose_that_cannot_be_is_named_by_file_and_line() -> None:
     cone = Touches("cone", far, {"target": ("a",) * len(far)}, {}, "cone.csv", late.lines)
     with pytest.raises(calib.RobotError, match=rf"^cone\.csv:{line}: .*parallelogram"):
         performance(robot.tips, [cone], None, np.zeros(3))
+
+
+def test_a_mistake_that_would_open_the_loop_hides_no_other(tmp_path: Path) -> None:
+    """What is tried - a reading's sign, its zero - may take poses that no parallelogram reaches; others go on."""
+    # Without a nominal coupling of the passive joints, where they are is sought from zero.
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(re.sub(r'(<joint name="(?:elbow|rod)" .*?)<mimic[^>]*>', r"\1", URDF.read_text(), flags=re.DOTALL))
+    robot = calib.load_robot(urdf, "tool0", loops=[LOOP])
+    # joint_3, which turns the crank, is read last: it is beside the way to the tip.
+    q = np.radians(commands_deg(60, 3))[:, [0, 1, 3, 4, 5, 2]]
+    T = robot.tips(q)
+    q[:, 4] *= -1.0
+    data = calib.poses(robot, q, T, sigma=1e-5, sigma_angle=1e-5)
+    model = calib.error_model(robot, offsets="all", base="fixed", tool="pose")
+    finding = next(one for one in calib.check(model, data) if one.severity == "error")
+    assert finding.code == "flipped-sign" and "joint_6" in finding.sentence
