@@ -14,6 +14,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.choices import PoseFrame, What
 from calib.foundations.errors import JobError
+from calib.foundations.ranges import refuse_beyond
 from calib.foundations.words import not_calibrated
 from calib.machine.calibrated import CalibratedMachine, refuse_unfollowed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
@@ -90,6 +91,9 @@ def for_poses(
         raise JobError(f"the poses have the shape {poses.shape}; allowed are (N, 4, 4), and (N, 3) for positions.")
     if not np.isfinite(poses).all():
         raise JobError("the poses must be finite numbers.")
+    places = poses if poses.ndim == 2 else poses[:, :3, 3]
+    if len(places):
+        refuse_beyond([places.min(), places.max()], "position, station, point", "the poses: a position")
     if frame not in ("base", "instrument"):
         raise JobError(f"the frame of the poses is {frame!r}; allowed are base, instrument.")
     model = at_tip(model, tool)

@@ -594,6 +594,7 @@ def test_a_loop_that_cannot_close_spoils_its_row_alone() -> None:
         (lambda m: commands.for_joint_targets(m, np.zeros((1, 6)), tolerance=(0.0, 1e-6)), "the tolerances are"),
         (lambda m: commands.for_poses(m, np.zeros((1, 7))), "shape (1, 7)"),
         (lambda m: commands.for_poses(m, np.full((1, 3), np.inf)), "finite"),
+        (lambda m: commands.for_poses(m, np.full((1, 3), 1e200)), "is 1e+200 m; allowed is -10000 to 10000 m"),
         (lambda m: commands.for_poses(m, 2.0 * np.eye(4)[None]), "not all placements"),
         (
             lambda m: commands.for_poses(m, np.eye(4)[None], frame=cast(Any, "world")),
