@@ -122,11 +122,13 @@ def choice_sheet(choice: "Choice") -> Sheet:
 def parameter_sheet(fit: "Fit") -> Sheet:
     """Return all parameters with values, sigmas and flags."""
     rows = []
-    for parameter, value, sigma, unidentifiable, weak in zip(
-        fit.parameters, fit.values, fit.sigmas, fit.unidentifiable, fit.weakly_determined, strict=True
+    flags = fit.unidentifiable, fit.mirrored, fit.weakly_determined
+    for parameter, value, sigma, unidentifiable, mirrored, weak in zip(
+        fit.parameters, fit.values, fit.sigmas, *flags, strict=True
     ):
         factor, unit = SHOWN[parameter.unit]
-        known = "only in combination" if unidentifiable else "weakly" if weak else "yes"
+        of_none = "at either of two places" if mirrored else "only in combination"
+        known = of_none if unidentifiable else "weakly" if weak else "yes"
         sure = "-" if unidentifiable else f"{sigma * factor:.4f}"
         rows.append((parameter.name, signed(value * factor, 4), sure, unit, known))
     return Sheet.of(
