@@ -53,9 +53,10 @@ class Mechanism(NamedTuple):
     """What kinematics need of a robot: its joints, and one more for every flexure.
 
     Coordinates are the readings, then the flexures: c in all; m joints move. ``coupling`` (m, c), ``coupling_offset``
-    (m) and ``offset_coupling`` (m, nj): as in :class:`calib.robot.robot.Robot`. ``placed`` (n): which segment has the
-    deviation of every joint of the chain; ``carrying`` (n): which carries what the joint carries; ``own`` (nj): numbers
-    of the joints that move in the robot itself.
+    (m) and ``offset_coupling`` (m, nj): as in :class:`calib.robot.robot.Robot`. ``homes`` (k, m): positions at some
+    readings, at one of which passive joints stand best where the coupling puts them. ``placed`` (n): which segment has
+    the deviation of every joint of the chain; ``carrying`` (n): which carries what the joint carries; ``own`` (nj):
+    numbers of the joints that move in the robot itself.
     """
 
     segments: tuple[Segment, ...]
@@ -63,6 +64,7 @@ class Mechanism(NamedTuple):
     coupling: Array
     coupling_offset: Array
     offset_coupling: Array
+    homes: Array
     placed: IntArray
     carrying: IntArray
     own: IntArray
@@ -101,13 +103,15 @@ def mechanism(
     coupling_offset: Array,
     offset_coupling: Array,
     flexures: Sequence[Flexure],
+    homes: Array,
 ) -> Mechanism:
-    """Return the mechanism of a chain, whose ``coupling`` is (nj, nr), with flexures."""
+    """Return the mechanism of a chain with flexures; its ``coupling`` is (nj, nr), ``homes`` are readings (k, nr)."""
     every = np.arange(len(segments))
     if not flexures:
         own = np.arange(len(coupling))
+        at = homes @ coupling.T + coupling_offset
         return Mechanism(
-            tuple(segments), tuple(loops), coupling, coupling_offset, offset_coupling, every, every.copy(), own
+            tuple(segments), tuple(loops), coupling, coupling_offset, offset_coupling, at, every, every.copy(), own
         )
     found: list[Segment] = []
     placed, carrying = np.zeros_like(every), np.zeros_like(every)
@@ -151,6 +155,7 @@ def mechanism(
         wider,
         offset,
         by_offset,
+        homes @ wider[:, : coupling.shape[1]].T + offset,
         placed,
         carrying,
         own,

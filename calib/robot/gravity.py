@@ -132,7 +132,7 @@ class Holding:
         m = weights.mechanism
         s = Outline(m.segments).skeleton(np.zeros((len(m.segments), 6)))
         self._weights, self._passive = weights, passive_joints(m.loops)
-        self._closure = Closure(s, m.loops) if m.loops else None
+        self._closure = Closure(s, m.loops, m.homes) if m.loops else None
         carried = sorted({joint for _, joint, _ in weights.units})
         self._frames = {joint: k for k, joint in enumerate(carried)}
         self._kinematics = Kinematics(s.tree, [_frame(s, int(m.carrying[joint])) for joint in carried])

@@ -4,12 +4,16 @@ Loop l asks that the origins of two frames A and B coincide in some directions S
 The passive joints are solved by Newton's method from their nominal coupling; their derivatives with respect to anything
 follow from the implicit function theorem, ``dq_passive = -(dg/dq_passive)^-1 dg``.
 
+A loop can be closed in several ways, and the machine was assembled in one. Where the coupling is far from what closes,
+Newton's method may find another; there the way is followed in small steps, from readings where the coupling is near.
+
 Only the joints behind the last one that carries both frames matter to a loop: these are walked here, all rows at once.
 A turn z of such a joint at p, on the way to B, changes the gap by ``S R_A^T (z x (p_B - p))``; on the way to A it turns
 the directions too, and the change is the same with the other sign, whatever the gap is.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +29,11 @@ _OPEN = 1e-10
 # Newton's steps square: after one this small (rad or m) nothing is left but rounding.
 _LAST_STEP = 1e-9
 _NEGLIGIBLE = 1e-14
+# Passive joints that are found nearer than this, in rad or m, to where the search began, are on the branch meant.
+_NEAR = 0.5
+# The way from home to far readings: its first stretch, as a share, and the shortest; so many of all lengths, with so
+# many of Newton's steps each.
+_FIRST_STRETCH, _LEAST_STRETCH, _MOST_STRETCHES, _STEPS_OF_ONE = 0.5, 1.0 / 64.0, 100, 8
 # Smallest singular value of the closure, in m/rad or per unit: below it a pose is at a dead centre.
 _SINGULAR = 1e-6
 
@@ -87,9 +96,13 @@ def passive_joints(loops: Sequence[Loop]) -> list[int]:
 
 
 class Closure:
-    """The loops of a tree at given deviations."""
+    """The loops of a tree at given deviations.
 
-    def __init__(self, s: Skeleton, loops: Sequence[Loop]) -> None:
+    ``homes`` (k, nj): joint positions with the passive joints where the coupling puts them, which is right near one.
+    """
+
+    def __init__(self, s: Skeleton, loops: Sequence[Loop], homes: Array) -> None:
+        self._homes = homes
         self._loops, self._types, self._passive = tuple(loops), s.tree.types, passive_joints(loops)
         self._rings = [_ring(s, loop, self._passive) for loop in loops]
 
@@ -111,11 +124,62 @@ class Closure:
     def _sought(self, q: Array) -> tuple[Array, BoolArray, BoolArray]:
         """Return joint positions (N, nj) with the passive joints solved, which rows are at a dead centre, which open.
 
+        Where that is far from q, or nothing is found, they are sought anew on the way from home.
+        """
+        found, dead, open_ = self._from(q)
+        far = np.flatnonzero(dead | open_ | ~self._near(found, q))
+        if len(far) and self._home is not None:
+            reached, there = self._along(self._home, q[far])
+            rows = far[there]
+            found[rows], dead[rows], open_[rows] = reached[there], False, False
+        return found, dead, open_
+
+    @cached_property
+    def _home(self) -> tuple[Array, Array] | None:
+        """Joint positions (nj) as the coupling puts them and closed, where these are nearest; None: nowhere near."""
+        found, dead, open_ = self._from(self._homes)
+        change = self._change(found, self._homes)
+        change[dead | open_] = np.inf
+        best = int(np.argmin(change))
+        return (self._homes[best], found[best]) if change[best] <= _NEAR else None
+
+    def _change(self, found: Array, q: Array) -> Array:
+        """Return how far (N,) the passive joints of found (N, nj) are from those of q."""
+        return np.asarray(np.max(np.abs((found - q)[:, self._passive]), axis=1, initial=0.0))
+
+    def _near(self, found: Array, q: Array) -> BoolArray:
+        return np.asarray(self._change(found, q) <= _NEAR)
+
+    def _along(self, home: tuple[Array, Array], q: Array) -> tuple[Array, BoolArray]:
+        """Return joint positions (N, nj) on the branch of home, and which rows (N,) are reached.
+
+        ``home``: joint positions (nj) as the coupling puts them, and closed.
+        """
+        whole = q - home[0]
+        at, gone, stretch = np.tile(home[1], (len(q), 1)), np.zeros(len(q)), np.full(len(q), _FIRST_STRETCH)
+        for _ in range(_MOST_STRETCHES):
+            going = np.flatnonzero((gone < 1.0) & (stretch >= _LEAST_STRETCH))
+            if not len(going):
+                break
+            ahead = np.minimum(1.0, gone[going] + stretch[going])
+            start = home[0] + ahead[:, None] * whole[going]
+            start[:, self._passive] = (at[going] + (ahead - gone[going])[:, None] * whole[going])[:, self._passive]
+            found, dead, open_ = self._from(start, _STEPS_OF_ONE)
+            good = ~dead & ~open_ & self._near(found, start)
+            on = going[good]
+            at[on], gone[on] = found[good], ahead[good]
+            stretch[on] *= 2.0
+            stretch[going[~good]] /= 2.0
+        return at, gone >= 1.0
+
+    def _from(self, q: Array, most: int = _MOST_STEPS) -> tuple[Array, BoolArray, BoolArray]:
+        """Return what :meth:`_sought` does, with Newton's steps from q (N, nj) alone, ``most`` of them.
+
         A row that has come to its end is left alone: few need as many steps as the last one.
         """
         found, dead, open_ = q.copy(), np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
         left, q, still = np.arange(len(q)), q.copy(), self._still(q)
-        for _ in range(_MOST_STEPS):
+        for _ in range(most):
             stuck, step = self._step(q, still)
             dead[left[stuck]] = True
             q[:, self._passive] -= step

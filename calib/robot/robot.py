@@ -325,7 +325,9 @@ class Robot:
     def mechanism(self) -> Mechanism:
         """The joints, with one more for every flexure."""
         parts = self.coupling, self.coupling_offset, self.offset_coupling, self.flexures.every
-        return mechanism(segments(self), self.loops, *parts)
+        # As the URDF draws it, and with all joints in the middle of their limits.
+        middles = [0.5 * ((reading.lower or 0.0) + (reading.upper or 0.0)) for reading in self.readings]
+        return mechanism(segments(self), self.loops, *parts, np.array([[0.0] * len(middles), middles]))
 
     @property
     def moving_types(self) -> tuple[MovingType, ...]:
@@ -439,7 +441,8 @@ class TipModel:
         frame = self._skeleton.end_frame(self._tip)
         self.end = frame.placement
         self._kinematics = Kinematics(self._skeleton.tree, [frame], nominal.joints)
-        self._closure = Closure(self._skeleton, m.loops) if m.loops else None
+        homes = m.homes + m.offset_coupling @ d.offsets
+        self._closure = Closure(self._skeleton, m.loops, homes) if m.loops else None
         self._terms = None if nominal.terms is None else Transmission(nominal.terms, d.terms, nominal.holding)
         self._rates: tuple[Array, tuple[Array, Array]] | None = None
 

@@ -627,3 +627,26 @@ def test_a_loop_names_each_thing_once(closes: tuple[Literal["x", "z"], ...], pas
             "tip",
             loops=[ClosedLoop("p", ("rod_end", "pin"), closes, passive)],
         )
+
+
+def test_a_five_bar_stays_as_it_was_assembled_far_from_where_it_is_drawn() -> None:
+    """Its distal links turn by more than a radian; nothing but the URDF says where they are, at readings of zero."""
+    tilt = float(np.arctan2(0.1, np.sqrt(0.4**2 - 0.1**2)))
+    text = tree(
+        ("base", "left", "revolute", "-0.1 0 0", "0 1 0"),
+        ("left", "left_distal", "revolute", "0 0 0.3", "0 1 0", "", f"0 {tilt} 0"),
+        ("left_distal", "tip", "fixed", "0 0 0.4", "0 0 0"),
+        ("base", "right", "revolute", "0.1 0 0", "0 1 0"),
+        ("right", "right_distal", "revolute", "0 0 0.3", "0 1 0", "", f"0 {-tilt} 0"),
+        ("right_distal", "right_end", "fixed", "0 0 0.4", "0 0 0"),
+    )
+    robot = load(text, "tip", ClosedLoop("five", ("tip", "right_end"), ("x", "z"), ("left_distal", "right_distal")))
+    assert [reading.name for reading in robot.readings] == ["left", "right"]
+    left, right = np.meshgrid(np.linspace(-1.25, 0.0, 26), np.linspace(0.0, 1.25, 26))
+    readings = np.stack([left.ravel(), right.ravel()], axis=1)
+    A = np.stack([-0.1 + 0.3 * np.sin(readings[:, 0]), 0.3 * np.cos(readings[:, 0])], axis=1)
+    B = np.stack([0.1 + 0.3 * np.sin(readings[:, 1]), 0.3 * np.cos(readings[:, 1])], axis=1)
+    half = 0.5 * (B - A)
+    across = np.stack([-half[:, 1], half[:, 0]], axis=1) / np.linalg.norm(half, axis=1)[:, None]
+    up = A + half + np.sqrt(0.4**2 - np.sum(half**2, axis=1))[:, None] * across
+    np.testing.assert_allclose(robot.tips(readings)[:, [0, 2], 3], up, atol=1e-12)
