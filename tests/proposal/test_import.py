@@ -460,6 +460,15 @@ def test_arrays_of_too_many_values_are_refused_before_each_becomes_a_word(folder
         read_sheet("b.npz")
 
 
+def test_words_of_arrays_are_of_characters(folder: Path) -> None:
+    words = np.array(["ab", "cd"])
+    codes = np.frombuffer(b"\xff" * 16, dtype="<U2")  # which has no characters
+    np.savez(folder / "m.npz", own=words.astype(">U2"), codes=codes, none=np.array(["", ""]))
+    found = read_sheet("m.npz")
+    assert (found.titles, found.rows) == (("own", "none"), (("ab", ""), ("cd", "")))
+    assert found.remarks == ("'codes' is no array of numbers or words with 2 rows, and left out",)
+
+
 def test_what_unpacks_to_too_much_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("openpyxl")
     np.savez(folder / "m.npz", q=np.zeros((5, 3)))

@@ -65,7 +65,17 @@ def _readable(held: "np.lib.npyio.NpzFile", name: str) -> npt.NDArray[np.generic
         array = np.asarray(held[name])
     except ValueError:
         return None
-    return array if array.dtype.kind in "iufU" and array.ndim in (1, 2, 3) and array.size else None
+    if array.dtype.kind not in "iufU" or array.ndim not in (1, 2, 3) or not array.size or not _are_words(array):
+        return None
+    return array
+
+
+def _are_words(array: npt.NDArray[np.generic]) -> bool:
+    """Return whether words are of characters: of other numbers NumPy makes strings that Python cannot have."""
+    if array.dtype.kind != "U" or not array.dtype.itemsize:
+        return True
+    numbers = np.frombuffer(array.astype(array.dtype.newbyteorder("=")).tobytes(), dtype=np.uint32)
+    return bool(numbers.max() <= sys.maxunicode)
 
 
 def _columns(name: str, array: npt.NDArray[np.generic]) -> Iterator[tuple[str, list[str]]]:
