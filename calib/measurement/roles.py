@@ -159,6 +159,17 @@ def roles(table: RawTable) -> Roles:
     return Roles(tuple(points), tuple(orientations), targets, lengths, pixels, frozenset(spoken | set(lengths)))
 
 
+def would_be_points(table: RawTable) -> list[int]:
+    """Return the columns that have names of a point, and cells that are no numbers."""
+    every = _by_axis([column.name for column in table.columns], range(len(table.columns)))
+    points = [
+        found
+        for key, found in every
+        if _kind_of_axes(key.stem, frozenset((*key.before, *key.behind, *filter(None, [key.stem])))) == "point"
+    ]
+    return sorted({k for found in points for k in found.values() if table.columns[k].numbers is None})
+
+
 def _is_of_unit_length(table: RawTable, columns: Sequence[int]) -> bool:
     numbers = [table.columns[k].numbers for k in columns]
     size = np.sqrt(sum(np.square(values) for values in numbers if values is not None))

@@ -122,6 +122,11 @@ def test_cells_that_are_no_numbers_and_columns_without_a_name_are_told(folder: P
         said = run("init", UR10, "a.csv", "-y")
         assert (said.code, said.out) == (1, "")
         assert f"column '{titles[k]}' is of a joint, and '0.5 rad' in it is no number" in said.err
+    damaged = [*row[:6], "1.234,5", *row[7:]]
+    (folder / "a.csv").write_text("\n".join(",".join(f'"{c}"' for c in r) for r in [titles, row, row, damaged, row]))
+    said = run("init", UR10, "a.csv", "-y")
+    assert (said.code, said.out) == (1, "")
+    assert "column 'x [mm]' is of a point, and '1.234,5' in it is no number" in said.err
     put(folder, "no units")
     lines = (folder / "measured.csv").read_text(encoding="utf-8").splitlines()
     (folder / "measured.csv").write_text("\n".join(f"{line}," for line in lines), encoding="utf-8")

@@ -27,9 +27,9 @@ def picks_of(seen: Seen) -> list[Pick]:
     Raises MeasurementError where a joint's own column has a few cells that are no numbers: without it the rest would
     be a shorter arm.
     """
-    for column, wrong in _not_numbers(seen):
+    for column, wrong in _not_numbers(_of_joints(seen)):
         if column.name not in seen.named and 2 * len(wrong) < len(column.words):
-            raise _no_number(seen, column, wrong)
+            raise _no_number(seen, column, wrong, "joint")
     if not seen.raw.named:
         found = []
         for arm in _arms_of(seen, range(len(seen.raw.columns) + 1)):
@@ -161,8 +161,8 @@ def _as_answered(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
 
 def no_joints(seen: Seen) -> Exception:
     """Return what to raise where no column is a joint."""
-    for column, wrong in _not_numbers(seen):
-        return _no_number(seen, column, wrong)
+    for column, wrong in _not_numbers(_of_joints(seen)):
+        return _no_number(seen, column, wrong, "joint")
     there = listed([column.title for column in seen.raw.columns])
     if not seen.arms:
         end = "" if seen.answers.tip is None else f" on the way to {seen.answers.tip!r}"
@@ -182,19 +182,30 @@ def no_joints(seen: Seen) -> Exception:
     )
 
 
-def _not_numbers(seen: Seen) -> Iterator[tuple[RawColumn, list[str]]]:
-    """Yield the columns that have names of joints, and cells that are no numbers, with these cells."""
+def no_point(seen: Seen) -> Exception | None:
+    """Return what to raise where columns with names of a point hold something else than numbers, None where none do."""
+    for column, wrong in _not_numbers([seen.raw.columns[k] for k in roles.would_be_points(seen.raw)]):
+        return _no_number(seen, column, wrong, "point")
+    return None
+
+
+def _of_joints(seen: Seen) -> list[RawColumn]:
     joints = {name for arm in seen.arms for name in arm.joints}
-    for column in seen.raw.columns:
+    return [column for column in seen.raw.columns if column.name in joints]
+
+
+def _not_numbers(columns: Iterable[RawColumn]) -> Iterator[tuple[RawColumn, list[str]]]:
+    """Yield the columns that have cells that are no numbers, with these cells."""
+    for column in columns:
         wrong = [word for word in column.words if word and not is_number(word, ",")]
-        if column.numbers is None and column.name in joints and wrong:
+        if column.numbers is None and wrong:
             yield column, wrong
 
 
-def _no_number(seen: Seen, column: RawColumn, wrong: Sequence[str]) -> MeasurementError:
+def _no_number(seen: Seen, column: RawColumn, wrong: Sequence[str], of: str) -> MeasurementError:
     # Surely no number are those that are none with a decimal comma either.
     cell = next((word for word in wrong if not is_number(word, ";")), wrong[0])
     return MeasurementError(
-        f"{seen.raw.where}: column {column.title!r} is of a joint, and {shown(cell)} in it is no number, like "
+        f"{seen.raw.where}: column {column.title!r} is of a {of}, and {shown(cell)} in it is no number, like "
         "12.5 or 1.25e1."
     )

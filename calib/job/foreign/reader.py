@@ -11,7 +11,7 @@ from calib.foundations.words import listed
 from calib.identification.followed import FEWEST_ROWS, pivots
 from calib.job.foreign import fits
 from calib.job.foreign.answers import Answers, Found, Pick, Trial, ask, run_of, values_of
-from calib.job.foreign.picks import no_joints, picks_of
+from calib.job.foreign.picks import no_joints, no_point, picks_of
 from calib.job.foreign.seen import CHOSEN, Seen, is_ours
 from calib.job.foreign.turns import orientation_of
 from calib.measurement.kinds import Kind
@@ -108,6 +108,8 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
     elif kind is None and targets and not lengths:
         kind = "socket"
     if kind not in ("socket", "distance") or not targets:
+        if (wrong := no_point(seen)) is not None:
+            raise wrong
         raise ask(
             "observes",
             f"{where}: {seen.titles(pick.joints.columns)} are joints, and no column says what was measured there",
