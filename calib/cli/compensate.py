@@ -50,8 +50,7 @@ def compensate(
         say("reading the model and the targets")
         model = load_machine(results)
         wanted = targets_of.read_targets(targets, model, tool, in_order=in_order)
-        # Which set-up it is matters for poses in the instrument's frame, and for what gives way under other loads.
-        matters = (frame == "instrument" and wanted.poses is not None) or bool(model.robot.terms and model.robot.loads)
+        matters = targets_of.of_set_up(model, wanted, frame=frame)
         model = model.standing(setup, str(results)) if matters else model.at(setup)
         idle = targets_of.idle(model, wanted, frame=frame, clamp=clamp)
         say("correcting")

@@ -22,6 +22,7 @@ from calib.foundations.words import not_calibrated
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.columns import filled, orientations, stacked
 from calib.measurement.conditions import conditions, sided_columns
+from calib.measurement.measurements import ONLY_TOOL
 from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, Table, nearest, read_table
 from calib.robot.conditions import Conditions
 from calib.robot.transmission import lacking
@@ -62,10 +63,11 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool", *, in_or
 
     With x, y, z: positions, with qw, qx, qy, qz poses; joint columns are then optional readings to start from. Without:
     joint targets. A column ``tool`` names the tool of every row, else ``tool`` is that of all. ``in_order``: they are
-    visited in the order of the rows, which tells from which side joints are reached.
+    visited in the order of the rows, which tells from which side joints are reached. Which set-up a column ``setup``
+    names is for :func:`corrections` to look at.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
-    not of unit length, when a tool is not known, and when a joint term of the machine needs a column that is not there.
+    not of unit length, when a tool is not known or given twice, and when a joint term of the machine needs a column that is not there.
     """
     columns, where = table.columns, table.where
     joints: dict[str, Dimension] = {reading.name: reading.dimension for reading in model.robot.readings}
@@ -88,6 +90,8 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool", *, in_or
             raise MeasurementError(f"{where}: column {name!r} is not one of targets{near}.")
     posed = any(name in columns for name in (*position, *rotation))
     tools = cast(tuple[str, ...], columns["tool"].values) if "tool" in columns else (tool,) * len(table)
+    if tool != ONLY_TOOL and set(tools) - {tool}:
+        raise MeasurementError(f"{where}: the tool is given twice, as {tool!r} and by column 'tool'; keep one.")
     # Joints of other arms need not be there.
     needed = {*position, *rotation, *_needed(model, tools)}
     wanted = [position] if posed else [joints]
@@ -127,8 +131,16 @@ def corrections(
 ) -> Corrections:
     """Return the commands for the targets of a table; ``what`` counts for joint targets, ``frame`` for poses.
 
-    Raises MeasurementError when none of them can be reached, with the reason of the first.
+    Raises MeasurementError when none of them can be reached, with the reason of the first, and where a column ``setup``
+    names another set-up than that in which the machine stands, and this matters.
     """
+    if "setup" in wanted.table.columns and of_set_up(model, wanted, frame=frame):
+        for line, name in zip(wanted.table.lines, wanted.table.columns["setup"].values, strict=True):
+            if name != model.setup:
+                raise MeasurementError(
+                    f"{wanted.table.where}:{line}: is of the set-up {name!r}, and the commands are for {model.setup!r}; "
+                    "correct the targets of one set-up at a time, by --setup."
+                )
     if wanted.poses is None:
         readings = cast(Array, wanted.readings)
         found = for_joint_targets(model, readings, wanted.tools, what=what, clamp=clamp, conditions=wanted.conditions)
@@ -160,6 +172,11 @@ def corrections(
             f"{found.reasons[0]}.{hint}"
         )
     return found
+
+
+def of_set_up(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame) -> bool:
+    """Return whether it matters in which set-up targets are: in the instrument's frame, or where loads differ."""
+    return (frame == "instrument" and wanted.poses is not None) or bool(model.robot.terms and model.robot.loads)
 
 
 def idle(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame, clamp: bool) -> tuple[str, ...]:

@@ -807,6 +807,23 @@ def test_a_tool_that_no_column_names_is_asked_for() -> None:
         targets.targets(table, model, "no")
 
 
+def test_rows_of_another_tool_or_set_up_than_is_asked_for_are_not_corrected_for_that_one() -> None:
+    """A table as it was measured, in two places: its positions are those of two bases."""
+    wall = np.eye(4)
+    wall[0, 3] = 1.0
+    model = replace(model_of(robot_of("ur10")), others={"wall": wall})
+    there = {"x [m]": [0.6, 0.6], "y [m]": [0.2, 0.2], "z [m]": [0.4, 0.4], "setup": ["base", "wall"]}
+    wanted = targets.targets(table_from_arrays(there), model)
+    for setup, other, line in (("base", "wall", 1), ("wall", "base", 0)):
+        said = rf"arrays:{line}: is of the set-up '{other}', and the commands are for '{setup}'; .* by --setup"
+        with pytest.raises(MeasurementError, match=said):
+            targets.corrections(model.at(setup), wanted, frame="instrument")
+    assert targets.corrections(model, wanted, frame="base").reached.all()
+    two = table_from_arrays(panel(model, np.zeros((2, 6))) | {"tool": ["tool", "other"]})
+    with pytest.raises(MeasurementError, match="the tool is given twice, as 'other' and by column 'tool'"):
+        targets.targets(two, model, "other")
+
+
 def test_nothing_can_be_reached() -> None:
     model = model_of(robot_of("ur10"))
     wanted = targets.targets(table_from_arrays({"x [m]": [9.0, 8.0], "y [m]": [0.0, 0.0], "z [m]": [0.0, 0.0]}), model)
