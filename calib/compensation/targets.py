@@ -67,7 +67,8 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool", *, in_or
     names is for :func:`corrections` to look at.
 
     Raises MeasurementError when a column is missing, not known or in a unit of another dimension, when a quaternion is
-    not of unit length, when a tool is not known or given twice, and when a joint term of the machine needs a column that is not there.
+    not of unit length, when a tool is not known or given twice, and when a joint term of the machine needs a column
+    that is not there.
     """
     columns, where = table.columns, table.where
     joints: dict[str, Dimension] = {reading.name: reading.dimension for reading in model.robot.readings}
@@ -138,8 +139,8 @@ def corrections(
         for line, name in zip(wanted.table.lines, wanted.table.columns["setup"].values, strict=True):
             if name != model.setup:
                 raise MeasurementError(
-                    f"{wanted.table.where}:{line}: is of the set-up {name!r}, and the commands are for {model.setup!r}; "
-                    "correct the targets of one set-up at a time, by --setup."
+                    f"{wanted.table.where}:{line}: is of the set-up {name!r}, and the commands are for "
+                    f"{model.setup!r}; correct the targets of one set-up at a time, by --setup."
                 )
     if wanted.poses is None:
         readings = cast(Array, wanted.readings)
