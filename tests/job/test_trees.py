@@ -272,7 +272,7 @@ UNRELATED = {
     "a base that nothing shows": (
         ("", ""),
         RIGHT + TOUCH.replace('tip = "left_hand"', 'tip = "left_hand"\nsetup = "other"'),
-        "nothing shows where the base is in the set-up 'other'",
+        "touch.csv: nothing shows where the base is in the set-up 'other'",
     ),
 }
 

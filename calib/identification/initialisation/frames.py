@@ -212,8 +212,9 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
                 # Too little is known to place any base: it begins as given, and the null space says so.
                 stands[s] = True
                 continue
+            tables = dict.fromkeys(rows.data.where for rows in carried if np.any(rows.data.setup == s))
             raise MeasurementError(
-                f"{names.where}: nothing shows where the base is in the set-up {names.setups[s]!r}: measure positions "
+                f"{', '.join(tables)}: nothing shows where the base is in the set-up {names.setups[s]!r}: measure positions "
                 "there, or three sockets whose places are known or found from another set-up, or give its pose."
             )
         bases[s] = base_and_tools(every, KnownFrames(None, at.tools[:, :3, 3], at.tools[:, :3, :3]), at.tools).base
