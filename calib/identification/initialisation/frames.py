@@ -214,8 +214,9 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
                 continue
             tables = dict.fromkeys(rows.data.where for rows in carried if np.any(rows.data.setup == s))
             raise MeasurementError(
-                f"{', '.join(tables)}: nothing shows where the base is in the set-up {names.setups[s]!r}: measure positions "
-                "there, or three sockets whose places are known or found from another set-up, or give its pose."
+                f"{', '.join(tables)}: nothing shows where the base is in the set-up {names.setups[s]!r}: measure "
+                "positions there, or three sockets whose places are known or found from another set-up, or give its "
+                "pose."
             )
         bases[s] = base_and_tools(every, KnownFrames(None, at.tools[:, :3, 3], at.tools[:, :3, :3]), at.tools).base
         stands[s] = True
