@@ -14,6 +14,7 @@ from calib.assessment.influence import Residue
 from calib.foundations.arrays import IntArray
 from calib.identification.fit import Fit
 from calib.identification.machine import Layout
+from calib.identification.targets import shapes
 from calib.measurement.measurements import Measurements, numbered
 
 # Of more numbers some always check the others: a base and a tool have twelve unknowns at most.
@@ -22,12 +23,18 @@ _MOST_NUMBERS = 24
 _LEAST = 0.5
 
 
-def names_of_mirrored(fit: Fit, kind: Literal["tool", "target"]) -> tuple[str, ...]:
-    """Return the names of tools, or targets, that lengths put at two places alike."""
-    layout, data = Layout.of(fit.robot, fit.machine.frames), fit.measurements[0]
-    names = data.tools if kind == "tool" else data.targets
-    own = [p for p, twice in zip(fit.parameters, fit.mirrored, strict=True) if twice and p.kind == kind]
-    return tuple(dict.fromkeys(names[layout.frame_of(p)[0]] for p in own))
+def names_of_mirrored(fit: Fit, shape: Literal["tool", "point", "frame"]) -> tuple[str, ...]:
+    """Return the names of tools, or of targets of a shape, that two places explain alike."""
+    layout, sets = Layout.of(fit.robot, fit.machine.frames), fit.measurements
+    own = [
+        layout.frame_of(p)[0]
+        for p, twice in zip(fit.parameters, fit.mirrored, strict=True)
+        if twice and (p.kind == "tool") == (shape == "tool")
+    ]
+    if shape == "tool":
+        return tuple(sets[0].tools[k] for k in dict.fromkeys(own))
+    found = shapes(sets)
+    return tuple(name for name in (sets[0].targets[k] for k in dict.fromkeys(own)) if found[name] == shape)
 
 
 def unchecked(residue: Residue, kind: Literal["base", "tool"]) -> tuple[str, ...]:

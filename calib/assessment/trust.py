@@ -127,15 +127,7 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
                 )
             )
     found += _unlike(fit)
-    if twice := names_of_mirrored(fit, "target"):
-        found.append(
-            Finding.warning(
-                "mirrored",
-                f"Lengths put the {noun(len(twice), 'target')} {listed(twice)} at two places alike, one on either side "
-                "of the plane that the tool was in: no coordinates are told. The arm follows from neither. One more "
-                "length from well outside that plane tells which it is.",
-            )
-        )
+    found += _mirrored(fit)
     if rising := _surely(fit, _COMPLIANCE, -1.0):
         found.append(
             Finding(
@@ -177,6 +169,24 @@ def _surely(fit: Fit, kind: str, sign: float) -> list[str]:
         for parameter, value, sigma in zip(fit.parameters, fit.values, fit.sigmas, strict=True)
         if parameter.name.endswith(kind) and sign * value > of_rows.SURE * sigma
     ]
+
+
+def _mirrored(fit: Fit) -> list[Finding]:
+    """Return which targets two places explain alike. The arm hangs on neither of them."""
+    found = []
+    if twice := names_of_mirrored(fit, "point"):
+        found.append(
+            f"Lengths put the {noun(len(twice), 'target')} {listed(twice)} at two places alike, one on either side of "
+            "the plane that the tool was in: no coordinates are told. The arm does not depend on them. One more length "
+            "from well outside that plane tells which it is."
+        )
+    if turned := names_of_mirrored(fit, "frame"):
+        found.append(
+            f"Photographs show the {noun(len(turned), 'target')} {listed(turned)} alike if tilted to the other side, "
+            "as perspective is too small to tell: no coordinates are told. The arm does not depend on them. One more "
+            "photograph, from nearer or from another side, tells which it is."
+        )
+    return [Finding.warning("mirrored", sentence) for sentence in found]
 
 
 def _unlike(fit: Fit) -> list[Finding]:

@@ -1,11 +1,12 @@
-"""Anchors, balls and tools that lengths alone tell, where another place explains these as well.
+"""What two places explain alike: anchors, balls and tools that lengths alone tell, and boards in few photographs.
 
 Lengths from points in a plane are the same on both of its sides, and three points always are in a plane: with a machine
 that is known, three lengths put an anchor at either of two places, and a fit ends at one of them without a remainder.
-Neither the rank nor a standard deviation says so, as both look at the surroundings of one place.
+Neither the rank nor a standard deviation says so, as both look at the surroundings of one place. A board that is small
+in its photograph is alike: :mod:`calib.identification.mirrored_boards`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.linear import svd, triangle
 from calib.identification.machine import Layout, Machine
+from calib.identification.mirrored_boards import SeenTarget, seen_targets
 from calib.identification.parameters import ParameterKind, scales
 from calib.identification.system import Problem
 from calib.measurement.kinds import Kind
@@ -24,6 +26,8 @@ _LENGTHS: tuple[Kind, ...] = ("distance", "sphere")
 # two where what is told of one does not reach the other.
 _LIKELY, _APART = 16.0, 16.0
 _STEPS, _NO_STEP = 20, 1e-9
+# Whitened residuals (n,) of a place, and their derivatives by it (n, k).
+_Look = Callable[[Array], tuple[Array, Array]]
 
 
 class _Lengths(NamedTuple):
@@ -48,7 +52,7 @@ def mirrored(problem: Problem, at: Machine, sigmas: Sequence[Array]) -> BoolArra
     """Return which parameters (p,) are of tools and targets that two places explain, the others being as they are.
 
     ``sigmas`` (N, 1) of the rows of every set. Targets between which something is known, and what other rows than
-    lengths tell of, are not looked at.
+    lengths tell of, or than photographs, are not looked at.
     """
     found, layout = np.zeros(len(problem.parameters), dtype=np.bool_), Layout.of(problem.model.robot, problem.reference)
     rows = _rows(problem, at, sigmas)
@@ -64,7 +68,15 @@ def mirrored(problem: Problem, at: Machine, sigmas: Sequence[Array]) -> BoolArra
             if number in asked and _at_two_places(here, ends[own], rows.residual[own], rows.sigma[own]):
                 twice.add(number)
         found[[k for k, number in free.items() if number in twice]] = True
-    return found
+    return found | _turned(problem, at, sigmas, layout)
+
+
+def _turned(problem: Problem, at: Machine, sigmas: Sequence[Array], layout: Layout) -> BoolArray:
+    """Return which parameters (p,) are of boards, or cameras on the floor, that may be turned the other way."""
+    free = np.array([layout.frame_of(p)[0] if p.kind == "target" else -1 for p in problem.parameters], dtype=np.intp)
+    asked = set(free.tolist()) - _related(problem)
+    twice = [seen.number for seen in seen_targets(problem, at, sigmas, asked) if _turned_alike(seen)]
+    return np.isin(free, twice)
 
 
 def _rows(problem: Problem, at: Machine, sigmas: Sequence[Array]) -> _Lengths | None:
@@ -87,9 +99,13 @@ def _told_otherwise(problem: Problem, kind: ParameterKind) -> set[int]:
     others = [data for data in problem.measurements if data.kind not in _LENGTHS]
     if kind == "tool":
         return {int(t) for data in others for end in data.ends for t in np.unique(end.tool)}
-    related = {name for relation in problem.relations for name in relation.targets}
+    return {int(t) for data in others for t in np.unique(data.target)} | _related(problem)
+
+
+def _related(problem: Problem) -> set[int]:
+    """Return the targets, by number, between which something is known."""
     names = problem.measurements[0].targets
-    return {int(t) for data in others for t in np.unique(data.target)} | {names.index(name) for name in related}
+    return {names.index(name) for relation in problem.relations for name in relation.targets}
 
 
 def _at_two_places(here: Array, ends: Array, residual: Array, sigma: Array) -> bool:
@@ -101,21 +117,43 @@ def _at_two_places(here: Array, ends: Array, residual: Array, sigma: Array) -> b
         return False
     lengths = np.linalg.norm(here - ends, axis=1) + residual
 
-    def whitened(place: Array) -> tuple[Array, Array]:
+    def look(place: Array) -> tuple[Array, Array]:
         apart = place - ends
         reach = np.linalg.norm(apart, axis=1)
         return (lengths - reach) / sigma, -apart / (np.maximum(reach, _NO_STEP) * sigma)[:, None]
 
     middle = ends.mean(axis=0)
-    normal = svd(triangle(ends - middle))[2][-1]
-    there = here - 2.0 * ((here - middle) @ normal) * normal
-    most = float(np.sum((residual / sigma) ** 2)) + _LIKELY
-    r, J = whitened(there)
+    normal = np.asarray(svd(triangle(ends - middle))[2][-1], dtype=np.float64)
+    there = _least(look, here - 2.0 * ((here - middle) @ normal) * normal, lambda place, step: place + step)
+    return _explains_as_well(look, here, there, there - here)
+
+
+def _turned_alike(target: SeenTarget) -> bool:
+    """Return whether a board, or a camera, explains its photographs as well turned the other way."""
+    there = _least(target.look, target.there, _twisted)
+    apart = rigid.inverse(target.here) @ there
+    return _explains_as_well(target.look, target.here, there, np.append(apart[:3, 3], rigid.log3(apart[:3, :3])))
+
+
+def _least(look: _Look, place: Array, moved: Callable[[Array, Array], Array]) -> Array:
+    """Return the place with the least squares to which Gauss-Newton steps lead."""
+    r, J = look(place)
     for _ in range(_STEPS):
-        step = np.linalg.lstsq(J, -r, rcond=None)[0]
-        new_r, new_J = whitened(there + step)
-        if new_r @ new_r >= r @ r or np.linalg.norm(step) < _NO_STEP:
+        step = np.asarray(np.linalg.lstsq(J, -r, rcond=None)[0], dtype=np.float64)
+        ahead = moved(place, step)
+        new_r, new_J = look(ahead)
+        if not new_r @ new_r < r @ r or np.linalg.norm(step) < _NO_STEP:
             break
-        there, r, J = there + step, new_r, new_J
-    told = whitened(here)[1] @ (there - here)
-    return bool(r @ r < most and told @ told > _APART)
+        place, r, J = ahead, new_r, new_J
+    return place
+
+
+def _explains_as_well(look: _Look, here: Array, there: Array, apart: Array) -> bool:
+    """Return whether what is seen allows a place there, ``apart`` from here by more than is told of here."""
+    (r, J), (other, _) = look(here), look(there)
+    told = J @ apart
+    return bool(other @ other < r @ r + _LIKELY and told @ told > _APART)
+
+
+def _twisted(pose: Array, twist: Array) -> Array:
+    return np.asarray(pose @ rigid.placement(rigid.exp3(twist[3:]), twist[:3]))
