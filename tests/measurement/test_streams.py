@@ -34,6 +34,22 @@ def test_readings_between_samples_follow_a_cubic_and_rates_are_their_derivative(
     np.testing.assert_allclose(joints.rates(at), (joints.at(at + h) - joints.at(at - h)) / (2 * h), atol=1e-8)
 
 
+def test_angles_that_are_told_within_a_turn_go_on_between_samples(made: Streams) -> None:
+    """As drivers tell a joint without limits: -179.9 deg follows 179.9, and no sample is between them."""
+    t = np.arange(0.0, 20.0, 1.0 / 60.0)
+    t = t[(t < 9.0) | (t > 11.0)]
+    names = [reading.name for reading in made.robot.readings]
+    turned = made.motion.at(t) + np.pi - made.motion.at(np.array([5.0]))  # each is at the seam there
+    told = (turned + np.pi) % (2.0 * np.pi) - np.pi
+    assert np.all(np.ptp(told, axis=0) > 6.0)
+    asked = {f"commanded_{name} [rad]": turned[:, k] - 1e-3 for k, name in enumerate(names)}
+    table = {"time [s]": t} | {f"{name} [rad]": told[:, k] for k, name in enumerate(names)} | asked
+    joints = joint_stream(table_from_arrays(table), made.robot.readings, 0.1)
+    at = np.random.default_rng(1).uniform(1.0, 8.0, 500)
+    np.testing.assert_allclose(np.diff(joints.at(at), axis=0), np.diff(made.motion.at(at), axis=0), atol=4e-8)
+    np.testing.assert_allclose([one.largest for one in joints.following], 1e-3)
+
+
 def test_longer_gaps_are_not_bridged_and_shorter_ones_are(made: Streams) -> None:
     t = made.joints["time [s]"]
     without = {name: x[(t < 15.0) | (t > 15.5)] for name, x in made.joints.items()}

@@ -20,6 +20,7 @@ SPAN = 0.05
 _ALIKE = 0.2
 # A joint that moves more slowly, in rad/s or m/s, does not show how late it is.
 _SLOWEST = 1e-3
+_TURN = 2.0 * np.pi
 
 
 class Following(NamedTuple):
@@ -118,7 +119,9 @@ def following(joints: Mapping[str, Dimension], actual: Array, commanded: Array, 
     A joint that is late by d is behind by d times its rate: d is the slope of a line through all samples.
     """
     found = []
-    for (joint, dimension), error, rate in zip(joints.items(), (actual - commanded).T, rates.T, strict=True):
+    for (joint, dimension), behind, rate in zip(joints.items(), (actual - commanded).T, rates.T, strict=True):
+        # Of angles, one may be told within a turn.
+        error = behind - _TURN * np.round(behind / _TURN) if dimension == "angle" else behind
         centred, moving = error - error.mean(), rate - rate.mean()
         power = float(moving @ moving)
         late = -float(moving @ centred) / power if power > len(rate) * _SLOWEST**2 else 0.0

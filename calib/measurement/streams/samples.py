@@ -82,9 +82,14 @@ def joint_stream(
             f"{table.where}: no {_FEWEST} samples follow each other within {gap:.4g} s; allow longer gaps, or give a "
             "denser stream."
         )
+    turning = [k for k, dimension in enumerate(dimensions.values()) if dimension == "angle"]
+    whole = values.copy()
+    for a, b in runs:
+        # What is told as -179.9 deg after 179.9 has not gone all the way back between two samples.
+        whole[a:b, turning] = np.unwrap(values[a:b, turning], axis=0)
     stream = JointStream(
         tuple(dimensions),
-        tuple(_cubic(times[a:b], values[a:b]) for a, b in runs),
+        tuple(_cubic(times[a:b], whole[a:b]) for a, b in runs),
         read_only([times[a] for a, _ in runs]),
         read_only([times[b - 1] for _, b in runs]),
         table.where,
@@ -103,7 +108,7 @@ def joint_stream(
     if b - a < 2 * _FEWEST:
         return stream
     t = times[a:b:2]
-    half = _cubic(t, values[a:b:2])
+    half = _cubic(t, whole[a:b:2])
     return stream.showing(replace(stream, pieces=(half,), starts=read_only(t[:1]), ends=read_only(t[-1:])))
 
 
