@@ -72,8 +72,8 @@ def layout(data: bytes, where: str) -> Layout:
     units: tuple[str, ...] = ("",) * len(rows[header])
     last = plain[header].number
     below = header + 1
-    if below < len(rows) and len(rows[below]) == len(rows[header]) and _are_units(rows[below]):
-        units, last = tuple(symbol_of(cell.strip("[]()")) or "" for cell in rows[below]), plain[below].number
+    if below < len(rows) and len(rows[below]) == len(rows[header]) and (found := units_of(rows[below])):
+        units, last = found, plain[below].number
         remarks.append("the line below the header has the units")
     return Layout(separator, tuple(rows[header]), units, plain[header].number, last, tuple(remarks))
 
@@ -147,10 +147,19 @@ def _is_filled(row: Sequence[str]) -> bool:
     return 2 * sum(map(bool, row)) > len(row)
 
 
-def _are_units(row: Sequence[str]) -> bool:
+def units_of(row: Sequence[str]) -> tuple[str, ...]:
+    """Return the symbols of a row of nothing but units, "" for empty cells; nothing for another row."""
     filled = [cell for cell in row if cell]
-    words = [cell for cell in filled if NUMBER.fullmatch(cell) is None]
-    return bool(words) and len(words) == len(filled) and all(symbol_of(cell.strip("[]()")) for cell in words)
+    symbols = tuple(symbol_of(cell.strip("[]()")) or "" for cell in row)
+    is_of_units = filled and sum(map(bool, symbols)) == len(filled) and not any(map(NUMBER.fullmatch, filled))
+    return symbols if is_of_units else ()
+
+
+def with_units(titles: Sequence[str], units: Sequence[str]) -> list[str]:
+    """Return titles with the units that a row below them has."""
+    return [
+        f"{title} [{unit}]" if unit and "[" not in title else title for title, unit in zip(titles, units, strict=True)
+    ]
 
 
 def name_and_unit(title: str) -> tuple[str, str | None]:

@@ -312,6 +312,23 @@ def test_rows_above_the_header_of_a_spreadsheet_are_passed_over(above: list[obje
         assert found.remarks[-1] == said
 
 
+def test_a_row_of_units_in_a_workbook_is_no_row(folder: Path) -> None:
+    """Rows that are joined by names would lose it, and files that stand below each other would have it within them."""
+    openpyxl = pytest.importorskip("openpyxl")
+    for name, rows in (
+        ("joints", [["pose", "J1", "J2"], [None, "deg", "°"], ["p", 1.5, 2.5], ["q", 3.5, 4.5]]),
+        ("points", [["name", "X", "Y"], [None, "mm", "mm"], ["q", 7.5, 8.5], ["p", 5.5, 6.5]]),
+    ):
+        book = openpyxl.Workbook()
+        for cells in rows:
+            book.active.append(cells)
+        book.save(folder / f"{name}.xlsx")
+    found = joined(read_sheet("joints.xlsx"), read_sheet("points.xlsx"))
+    assert found.titles == ("pose", "J1 [deg]", "J2 [deg]", "X [mm]", "Y [mm]")
+    assert found.rows == (("p", "1.5", "2.5", "5.5", "6.5"), ("q", "3.5", "4.5", "7.5", "8.5"))
+    assert "the row below the header has the units" in found.remarks
+
+
 def test_a_workbook_in_a_language_that_is_not_read_is_to_be_saved_anew(
     folder: Path, recwarn: pytest.WarningsRecorder
 ) -> None:

@@ -11,7 +11,7 @@ from calib.foundations.files import read_bytes
 from calib.foundations.words import counted, listed, shown
 from calib.measurement.cells import cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats import arrays, logs, records, workbook
-from calib.measurement.layout import is_number, layout, with_point
+from calib.measurement.layout import is_number, layout, with_point, with_units
 
 _MOST_COLUMNS = 1000
 # Files other than plain tables are held as cells of text: some hundred bytes each.
@@ -105,10 +105,7 @@ def _of_text(data: bytes, where: str) -> Sheet:
     if data.lstrip().startswith(_XML):
         raise MeasurementError(f"{where}: is XML, and no table.")
     form = layout(data, where)
-    titles = [
-        f"{title} [{unit}]" if unit and "[" not in title else title
-        for title, unit in zip(form.titles, form.units, strict=True)
-    ]
+    titles = with_units(form.titles, form.units)
     rows: list[tuple[str, ...]] = []
     for block in lines(data, where):
         found = [line for line in block if line.number > form.last]

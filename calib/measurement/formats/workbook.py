@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, iterparse
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
 from calib.foundations.words import counted, listed, shown
-from calib.measurement.layout import header_of, is_number, with_point
+from calib.measurement.layout import header_of, is_number, units_of, with_point, with_units
 
 # Of the archive unpacked; a workbook of a million cells has some 50 MB.
 _LARGEST = 200_000_000
@@ -87,7 +87,11 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
     if header := header_of(rows[:_LOOKED_AT], ";"):
         remarks.append(f"{counted(header, 'row')} before the header passed over")
     titles = [title or f"column {k + 1}" for k, title in enumerate(rows[header])]
-    return titles, rows[header + 1 :], tuple(remarks)
+    rows = rows[header + 1 :]
+    if rows and (units := units_of(rows[0])):
+        titles, rows = with_units(titles, units), rows[1:]
+        remarks.append("the row below the header has the units")
+    return titles, rows, tuple(remarks)
 
 
 def _refuse_bombs(archive: zipfile.ZipFile, size: int, where: str) -> None:
