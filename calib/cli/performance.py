@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from calib.cli.application import IN_WORDS, JUDGE, Telling, command
-from calib.cli.options import ResultFolder, argument, option
+from calib.cli.options import ResultFolder, SetupName, argument, option
 from calib_start import loading
 
 
@@ -13,6 +13,7 @@ def performance(
     results: ResultFolder,
     touches: Annotated[list[Path], argument("TOUCHES...", "Touched points (CSV).")],
     probe: Annotated[Path | None, option("--probe", "FILE", "A cone touched to find the probe point.")] = None,
+    setup: SetupName = None,
     telling: Telling = IN_WORDS,
 ) -> None:
     """Evaluate acceptance tests of an arm CMM.
@@ -28,6 +29,7 @@ def performance(
     with telling.progress(steps=1) as say:
         say("reading the model and the touches")
         model = load_machine(results)
+        model = model.standing(setup, str(results)) if model.sags_by_set_up else model.at(setup)
         tests = [read_touches(path, model.robot) for path in touches]
         before, after = before_and_after(model, tests, None if probe is None else read_touches(probe, model.robot))
     telling.tell(

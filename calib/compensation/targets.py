@@ -177,7 +177,7 @@ def corrections(
 
 def of_set_up(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame) -> bool:
     """Return whether it matters in which set-up targets are: in the instrument's frame, or where loads differ."""
-    return (frame == "instrument" and wanted.poses is not None) or bool(model.robot.terms and model.robot.loads)
+    return (frame == "instrument" and wanted.poses is not None) or model.sags_by_set_up
 
 
 def idle(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame, clamp: bool) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.units import MM
+from calib.foundations.words import listed, not_calibrated
 from calib.job.schema import InstrumentSection
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import NOMINAL_FILE, load_machine, residual_file
@@ -62,11 +63,12 @@ class ReadArm(NamedTuple):
 def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
     """Return the arm that an instrument of the job is.
 
-    Raises CalibError when it cannot be read, has no such tool, or its pivoting does not show the tool point.
+    Raises CalibError when it cannot be read, has no such tool or set-up, does not say where it stands if that matters,
+    or its pivoting does not show the tool point.
     """
     files: dict[str, Path] = {}
     if section.model is not None:
-        model = load_machine(folder / section.model)
+        model = _standing(load_machine(folder / section.model), section.setup, f"instruments.{name}")
         beside = residual_file(model.residual_model)
         parts = [MODEL_FILE, NOMINAL_FILE] + ([] if beside is None else [beside])
         files |= {f"{section.model}/{part}": folder / section.model / part for part in parts}
@@ -88,6 +90,17 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
         point = read_only([length.si for length in section.point])
         return ReadArm(replace(arm, point=point), files)
     return ReadArm(arm, files) if section.pivot is None else _pivoted(arm, files, section.pivot, folder)
+
+
+def _standing(model: CalibratedMachine, setup: str | None, at: str) -> CalibratedMachine:
+    """Return the arm as it stands where it touches, with the load that it has there."""
+    if setup is None and model.sags_by_set_up:
+        raise JobError(
+            f"{at}: the arm sags by its loads in its set-ups, {listed(model.bases)}; say by setup which it is."
+        )
+    if setup is not None and setup not in model.bases:
+        raise JobError(f"{at}.setup: {not_calibrated('set-up', setup, model.bases)}.")
+    return model.at(setup)
 
 
 def _pivoted(arm: TouchingArm, files: Mapping[str, Path], file: str, folder: Path) -> ReadArm:

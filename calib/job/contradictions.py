@@ -140,7 +140,7 @@ def _of_pixels(section: MeasurementsSection, job: Job, at: str) -> Iterator[str]
 
 _KEYS_OF: Mapping[str, tuple[str, ...]] = {
     "laser_tracker": ("sigma_per_metre", "station"),
-    "arm": ("model", "urdf", "tip", "tool", "point", "pivot"),
+    "arm": ("model", "urdf", "tip", "setup", "tool", "point", "pivot"),
     "camera": ("camera_on", *NAMES, "lens", "lens_sigma", "size", "lens_file"),
 }
 
@@ -166,6 +166,8 @@ def _instrument_contradictions(at: str, section: InstrumentSection) -> Iterator[
         yield f"{at}.tip: the model has its own; leave it out."
     if section.urdf is not None and section.tool is not None:
         yield f"{at}.tool: a urdf has no tools; give a point on its tip, or a pivot."
+    if section.urdf is not None and section.setup is not None:
+        yield f"{at}.setup: a urdf has no set-ups; leave it out."
     given = [key for key in ("tool", "point", "pivot") if getattr(section, key) is not None]
     if len(given) > 1 or (section.model is not None and not given):
         yield f"{at}: where the arm's tool point is, one of tool, point and pivot says."

@@ -238,8 +238,10 @@ class InstrumentSection(_Section):
 
     An ``arm`` measures by its joint readings: its ``model``, a folder of results, or its ``urdf`` and ``tip``; where
     its tool point is: a ``tool`` of the model, a ``point`` on the tip link, or found by a ``pivot``, a table of
-    touches. A laser tracker has a station; a camera is on the floor, the tip or a link, and has OpenCV's numbers: a
-    ``lens`` that is given, or free, in which case the ``size`` of its images is enough; or numbers of it that are free.
+    touches; in which ``setup`` of the model it stands, where it sags otherwise in others.
+
+    A laser tracker has a station; a camera is on the floor, the tip or a link, and has OpenCV's numbers: a ``lens``
+    that is given, or free, in which case the ``size`` of its images is enough; or numbers of it that are free.
     ``lens_file``: a YAML of OpenCV, ROS or Kalibr that gives the numbers; ``lens_sigma``: how well they are known.
     """
 
@@ -252,6 +254,7 @@ class InstrumentSection(_Section):
     model: Name | None = None
     urdf: Name | None = None
     tip: Name | None = None
+    setup: Name | None = None
     tool: Name | None = None
     point: fields.Position | None = None
     pivot: Name | None = None

@@ -119,6 +119,11 @@ class CalibratedMachine:
             in_urdf=in_urdf,
         )
 
+    @property
+    def sags_by_set_up(self) -> bool:
+        """Whether what its joint terms do may differ from set-up to set-up, by gravity or payload."""
+        return bool(self.robot.terms and self.robot.loads and len(self.bases) > 1)
+
     def standing(self, setup: str | None, where: str) -> "CalibratedMachine":
         """Return the same as :meth:`at`, for what depends on the set-up: which one is not guessed.
 

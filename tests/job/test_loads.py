@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import calib
+from calib.job.arm import read_arm
+from calib.job.schema import InstrumentSection
 from tests.support import machines
 from tests.support.cases import run
 from tests.support.gears import UR10
@@ -118,7 +120,8 @@ def test_payloads_by_table_and_a_wall_by_set_up(folder: Path) -> None:
     assert run("uncertainty", out, "--setup", "wall", "--samples", "20", "-q").code == 0
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 6))
     found: list[Array] = []
-    for setup in ("base", "wall"):
+    bases_of = ("base", "wall")
+    for setup in bases_of:
         there = machine.at(setup)
         placed = there.predict(q)[:, :3, 3]
         write(folder / "wanted.csv", {f"{axis} [m]": placed[:, k] for k, axis in enumerate("xyz")})
@@ -131,6 +134,23 @@ def test_payloads_by_table_and_a_wall_by_set_up(folder: Path) -> None:
         np.testing.assert_allclose(there.predict(asked)[:, :3, 3], placed, atol=1e-6)
         found.append((np.linalg.inv(there.base) @ there.predict(q))[:, :3, 3])
     assert np.abs(found[0] - found[1]).max() > 3e-5  # the same readings, under another load
+
+    # Nor does it touch anything elsewhere than where it is said to stand.
+    touching = {"kind": "arm", "sigma": "0.1 mm", "model": out.name, "tool": "tool"}
+    arms = [read_arm("it", InstrumentSection.model_validate(touching | {"setup": name}), folder) for name in bases_of]
+    assert [one.arm.machine.robot.load for one in arms] == [machine.at(name).robot.load for name in bases_of]
+    with pytest.raises(calib.JobError, match=r"instruments\.it: .* set-ups, 'base', 'wall'; say by setup"):
+        read_arm("it", InstrumentSection.model_validate(touching), folder)
+    with pytest.raises(calib.JobError, match=r"instruments\.it\.setup: there is no set-up 'moon'"):
+        read_arm("it", InstrumentSection.model_validate(touching | {"setup": "moon"}), folder)
+    turns = {f"{reading.name} [rad]": q[:, k] for k, reading in enumerate(machine.robot.readings)}
+    write(folder / "cone.csv", turns | {"target": ["cone"] * 3})
+    asked_for = run("performance", out, folder / "cone.csv")
+    assert (asked_for.code, "say which one is meant, by --setup" in asked_for.err) == (1, True)
+    told = [
+        json.loads(run("performance", out, folder / "cone.csv", "--setup", name, "--json").out) for name in bases_of
+    ]
+    assert told[0]["after"] != told[1]["after"]
 
 
 def test_a_payload_that_a_set_up_bears_is_as_good_as_one_of_the_table(folder: Path) -> None:
