@@ -33,7 +33,12 @@ def check(
     Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
     robots = [file for file in files if file.lower().endswith(_ROBOT) or file.startswith("example:")]
-    tables = [file for file in files if file not in robots and file.lower().endswith(_TABLE)]
+    # Beside a robot there are tables, whatever they are called, as calib init takes them.
+    tables = [
+        file
+        for file in files
+        if file not in robots and (file.lower().endswith(_TABLE) or (robots and not file.lower().endswith(".toml")))
+    ]
     jobs = [file for file in files if file not in robots and file not in tables]
     if len(jobs) > 1 or len(robots) > 1 or (jobs and (robots or tables)):
         raise typer.BadParameter("take one job; or one URDF, tables, or a URDF and tables.")

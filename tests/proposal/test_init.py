@@ -175,6 +175,15 @@ def test_check_looks_into_files_and_writes_nothing(folder: Path) -> None:
     assert run("check", UR10, "measured.csv", "calibration.toml").code == 2
 
 
+@pytest.mark.parametrize("name", ["measured.log", "measured"])
+def test_check_takes_beside_a_robot_what_init_takes(folder: Path, name: str) -> None:
+    put(folder, "no units", name)
+    found = run("check", UR10, name, "--json")
+    assert found.code == 0
+    assert run("init", UR10, name, "-q").code == 0
+    assert json.loads(found.out)["toml"] == (folder / "calibration.toml").read_text(encoding="utf-8")
+
+
 def test_a_job_with_a_header_of_others_is_told_what_fits(folder: Path) -> None:
     put(folder, "KUKA")
     run("init", UR10, "measured.csv", "-q")
