@@ -24,7 +24,7 @@ def compensate(
         bool,
         typer.Option(
             "--clamp",
-            help="Outside a residual grid use its nearest edge; far from rows of a Gaussian process, no correction.",
+            help="Outside a residual grid use its nearest edge; far from rows of a Gaussian process, what it fades to.",
         ),
     ] = False,
     in_order: Annotated[

@@ -22,9 +22,9 @@ _ANGLES = ("rx", "ry", "rz")
 def data_frame(fit: Fit, what: What = "parameters") -> "DataFrame":
     """Return the parameters of a fit, its residuals, or the correlations of the identifiable parameters.
 
-    ``parameters``: a row for each, by name: value, unit, sigma (nan where not identifiable), prior, identifiable, weak.
-    ``residuals``: a row for each measured one: file, line, tool, and measured minus predicted of every coordinate,
-    before and after, in m and rad. ``correlations``: square, by names. Raises JobError for another
+    ``parameters``: a row for each, by name: value, unit, sigma (nan where not identifiable), prior, identifiable,
+    weakly_determined. ``residuals``: a row for each measured one: file, line, tool, and measured minus predicted of
+    every coordinate, before and after, in m and rad. ``correlations``: square, by names. Raises JobError for another
     word, OutputError where pandas is missing.
     """
     refuse_other(what, get_args(What), "what")

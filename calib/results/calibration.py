@@ -203,8 +203,10 @@ def assess(
     ``data``: all tables to identify from, if the fit is a level that used only some of them. ``residual_model``: what
     the machine adds to positions. ``names``: names of the tables, first those to identify from; by default where they
     come from. ``findings``: what looks wrong in the data; when None, it is found here. ``trace``: that of the total
-    differential that led to the fit. Raises MeasurementError when held-out data have no rows, or are of tools or
-    targets that the fit does not know.
+    differential that led to the fit.
+
+    Tools, set-ups and targets that held-out data alone have are found from these rows, with the calibrated machine.
+    Raises MeasurementError when held-out data have no rows, or no more of a tool or set-up than find it.
     """
     validation = (held_out,) if isinstance(held_out, Measurements) else tuple(held_out)
     own = fit.measurements if data is None else tuple(data)
