@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.assessment.control import names_of_mirrored
 from calib.identification.fit import Fit
+from calib.identification.mirrored import _at_two_places
 from calib.identification.targets import Target
 from tests.support import cameras, machines
 from tests.support.machines import Array
@@ -60,6 +61,15 @@ def test_more_lengths_in_a_plane_do_so_as_well() -> None:
     readings[:, 1:3] += np.random.default_rng(3).uniform(-0.5, 0.5, (len(readings), 2))
     fit, _ = session(readings, each=8)
     assert len(names_of_mirrored(fit, "point")) == ANCHORS
+
+
+@pytest.mark.parametrize(("height", "mirrored"), [(0.0, False), (2e-4, False), (0.1, True)])
+def test_an_anchor_in_the_plane_of_its_lengths_is_at_one_place(height: float, mirrored: bool) -> None:
+    """Its mirror image is itself, or no farther than its sigma tells: 1.5 mm across the plane, of lengths to 20 um."""
+    rng = np.random.default_rng(5)
+    ends = np.append(rng.uniform(-0.5, 0.5, (8, 2)), np.zeros((8, 1)), axis=1)
+    noise = rng.normal(scale=SIGMA, size=8)
+    assert _at_two_places(np.array([0.6, 0.2, height]), ends, noise, np.full(8, SIGMA)) == mirrored
 
 
 @pytest.mark.parametrize(("each", "mirrored"), [(3, ("other",)), (6, ())])
