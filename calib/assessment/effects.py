@@ -1,11 +1,13 @@
 """Effects that no parameter of a fit stands for, sought in its residuals: how large each would be, and how sure.
 
 An effect is a direction d in the space of all measured numbers: what one unit of it would do to them. With whitened
-residuals r, Jacobian J and covariance C of the parameters, those take up ``J C J^T d`` of it, and its size is
+residuals r, Jacobian J and covariance C of the parameters, those take up ``J C J^T d`` of it and leave l, the rest. The
+size of the effect is
 
-    a = -(d^T r) / (d^T d - d^T J C J^T d)
+    a = -(l^T r) / (l^T l)
 
-a score test (C. R. Rao, 1948): nothing is fitted anew. Neighbouring rows go together - a gear that wobbles errs alike
+a score test (C. R. Rao, 1948): nothing is fitted anew. With l in place of d, what r still has along the parameters, as
+weak priors keep it, is no effect: of a large d that the parameters nearly take up, little of it would be a multiple. Neighbouring rows go together - a gear that wobbles errs alike
 in all of them -, so that N rows say less than N independent ones: the standard error of ``a`` is that of sums over
 blocks of neighbours, each longer than residuals remember (W. K. Newey, K. D. West, Econometrica 55, 1987, with blocks).
 """
@@ -93,11 +95,10 @@ def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> E
     r, d = (np.concatenate([x.ravel() for x in xs]) for xs in ([part.r for part in parts], directions))
     J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts])
     left = d - J @ (C @ (J.T @ d))
-    # A projection only without priors; the sum is what the score test has with them.
-    M = float(d @ left)
+    M = float(left @ left)
     if not _TAKEN * float(d @ d) < M:
         return NO_EFFECT
-    value = -float(d @ r) / M
+    value = -float(left @ r) / M
     rest = r + left * value
     lengths = [len(part.r) for part in parts]
     ends = np.cumsum([part.r.size for part in parts])[:-1]

@@ -814,3 +814,16 @@ def test_a_socket_that_is_not_where_it_is_stated_is_named(off: float, wobble: fl
     assert ("groups" in failed(found)) == named
     if named:
         assert "the target 'b'" in " ".join(found.doubts)
+
+
+def test_harmonics_that_nearly_are_a_gain_are_no_gear_of_another_ratio(cell: Cell) -> None:
+    """Over half a radian two orders come near a straight line; what weak priors keep of them was told as a gain."""
+    names = [reading.name for reading in cell.robot.readings]
+    model = calib.error_model(cell.robot, offsets="all", placements="all", terms={"harmonics": "all"})
+    for _ in range(3):
+        q = cell.draw(80)
+        q[:, :3] *= 0.25
+        parts, C = cell.effects(cell.measured(q + 5e-4 * np.sin(q) - 5e-4 * np.cos(2.0 * q), read=q), model)
+        found = gains(parts, C)
+        assert set(found) == set(names)
+        assert all(not abs(gain.t) > 4.0 for gain in found.values())
