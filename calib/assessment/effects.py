@@ -7,9 +7,10 @@ size of the effect is
     a = -(l^T r) / (l^T l)
 
 a score test (C. R. Rao, 1948): nothing is fitted anew. With l in place of d, what r still has along the parameters, as
-weak priors keep it, is no effect: of a large d that the parameters nearly take up, little of it would be a multiple. Neighbouring rows go together - a gear that wobbles errs alike
-in all of them -, so that N rows say less than N independent ones: the standard error of ``a`` is that of sums over
-blocks of neighbours, each longer than residuals remember (W. K. Newey, K. D. West, Econometrica 55, 1987, with blocks).
+weak priors keep it, is no effect: of a large d that the parameters nearly take up, little of it would be a multiple.
+Neighbouring rows go together - a gear that wobbles errs alike in all of them -, so that N rows say less than N
+independent ones: the standard error of ``a`` is that of sums over blocks of neighbours, each longer than residuals
+remember (W. K. Newey, K. D. West, Econometrica 55, 1987, with blocks).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
