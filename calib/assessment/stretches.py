@@ -217,7 +217,9 @@ def _rates(data: Measurements, scalars: Array) -> tuple[Array, float]:
     if data.times is not None:
         steps = np.diff(data.times)
         if np.all(steps > 0.0) and np.median(steps) <= _STREAM:
-            return np.asarray(np.gradient(data.readings, data.times, axis=0)), float(np.median(steps))
+            # Angles may be told within a turn; no joint slides so far, in m, from one row of a motion to the next.
+            moved = np.unwrap(data.readings, axis=0)
+            return np.asarray(np.gradient(moved, data.times, axis=0)), float(np.median(steps))
     return np.asarray(np.gradient(data.readings, axis=0)), float("nan")
 
 

@@ -224,6 +224,19 @@ def test_a_delay_comes_back_in_rows_and_seconds(cell: Cell, rows: int) -> None:
     assert " ms " in of_rows.late(timed, step).sentence
 
 
+def test_a_delay_is_seen_of_angles_that_are_told_within_a_turn(cell: Cell) -> None:
+    q = cell.path(500) + np.pi  # every joint is at the seam where its path crosses zero
+    late = np.roll(q, 3, axis=0)[10:-10]
+    told = (q[10:-10] + np.pi) % (2.0 * np.pi) - np.pi
+    assert np.all(np.ptp(told, axis=0) > 6.0)
+    whole, within = (
+        delay(*cell.effects(replace(cell.measured(late, read), times=0.2 * np.arange(len(read)))))[0]
+        for read in (q[10:-10], told)
+    )
+    assert within.value == pytest.approx(whole.value, rel=0.05)
+    assert within.sigma == pytest.approx(whole.sigma, rel=0.2)
+
+
 def test_a_joint_that_is_late_by_itself_and_readings_that_are_means(cell: Cell) -> None:
     q, t = cell.path(520), 0.1 * np.arange(500)
     true = cell.measured(q)
