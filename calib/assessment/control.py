@@ -33,7 +33,7 @@ def names_of_mirrored(fit: Fit, shape: Literal["tool", "point", "frame"]) -> tup
     ]
     if shape == "tool":
         return tuple(sets[0].tools[k] for k in dict.fromkeys(own))
-    found = shapes(sets)
+    found = shapes(sets) if own else {}
     return tuple(name for name in (sets[0].targets[k] for k in dict.fromkeys(own)) if found[name] == shape)
 
 
