@@ -1,4 +1,4 @@
-"""What nothing checks: set-ups and tools of which as many numbers were measured as these alone tell unknowns.
+"""What nothing tells, or checks: set-ups and tools that several places explain, or of which no row is too many.
 
 Three positions of a tool of its own in a set-up of its own are nine numbers for nine unknowns. Several bases and tools
 explain them exactly, the search ends at one of them, and no residual tells that it is another one. In geodesy such rows
@@ -12,6 +12,7 @@ import numpy as np
 
 from calib.assessment.influence import Residue
 from calib.foundations.arrays import IntArray
+from calib.foundations.words import listed, noun
 from calib.identification.fit import Fit
 from calib.identification.machine import Layout
 from calib.identification.targets import shapes
@@ -23,18 +24,38 @@ _MOST_NUMBERS = 24
 _LEAST = 0.5
 
 
-def names_of_mirrored(fit: Fit, shape: Literal["tool", "point", "frame"]) -> tuple[str, ...]:
-    """Return the names of tools, or of targets of a shape, that two places explain alike."""
+def doubt(residue: Residue) -> str:
+    """Say what of bases and tools nothing tells, though they are found; empty where there is nothing to say."""
+    if alone := unchecked(residue, "base"):
+        return (
+            f"In {noun(len(alone), 'set-up')} {listed(alone)} as many numbers were measured as there are unknowns: "
+            "several bases and tools explain them exactly, and nothing tells which is right. Measure more poses there, "
+            "or state the tool."
+        )
+    if twice := names_of_mirrored(residue.fit, "tool"):
+        return (
+            f"Lengths put the {noun(len(twice), 'tool')} {listed(twice)} at two places alike, and nothing tells which "
+            "is right. Measure more lengths, at other orientations of the tip, or state the tool."
+        )
+    if turned := names_of_mirrored(residue.fit, "base"):
+        return (
+            f"In {noun(len(turned), 'set-up')} {listed(turned)} photographs show the board alike if tilted to the "
+            "other side, as perspective is too small to tell, and nothing tells which is right. Take photographs there "
+            "from nearer, or from another side."
+        )
+    return ""
+
+
+def names_of_mirrored(fit: Fit, what: Literal["base", "tool", "point", "frame"]) -> tuple[str, ...]:
+    """Return the names of set-ups, tools, or targets of a shape, that two places explain alike."""
     layout, sets = Layout.of(fit.robot, fit.machine.frames), fit.measurements
-    own = [
-        layout.frame_of(p)[0]
-        for p, twice in zip(fit.parameters, fit.mirrored, strict=True)
-        if twice and (p.kind == "tool") == (shape == "tool")
-    ]
-    if shape == "tool":
-        return tuple(sets[0].tools[k] for k in dict.fromkeys(own))
-    found = shapes(sets) if own else {}
-    return tuple(name for name in (sets[0].targets[k] for k in dict.fromkeys(own)) if found[name] == shape)
+    kind = what if what in ("base", "tool") else "target"
+    own = dict.fromkeys(
+        layout.frame_of(p)[0] for p, twice in zip(fit.parameters, fit.mirrored, strict=True) if twice and p.kind == kind
+    )
+    names = {"base": sets[0].setups, "tool": sets[0].tools, "target": sets[0].targets}[kind]
+    found = shapes(sets) if own and kind == "target" else {}
+    return tuple(names[k] for k in own if kind != "target" or found[names[k]] == what)
 
 
 def unchecked(residue: Residue, kind: Literal["base", "tool"]) -> tuple[str, ...]:

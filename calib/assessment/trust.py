@@ -12,7 +12,7 @@ import numpy as np
 
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.checks.shown_range import shown_range
-from calib.assessment.control import names_of_mirrored, unchecked
+from calib.assessment.control import doubt, names_of_mirrored, unchecked
 from calib.assessment.effects import apart, delay, drifts, elsewhere, gains, ratios, rounding, steps, strains, timing
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
@@ -84,7 +84,7 @@ def verdict(
             of_fit.stated_sigma(fit),
             of_errors.independent_rows(own, held_out),
             of_errors.copies(own, held_out),
-            of_fit.redundancy(fit, unchecked(residue, "base"), names_of_mirrored(fit, "tool")),
+            of_fit.redundancy(fit, doubt(residue)),
             *by_row,
             of_rows.groups(found, apart(poses, C), elsewhere(poses, C), fit),
             of_rows.set_ups(moved),

@@ -1,4 +1,4 @@
-"""What two places explain alike: anchors, balls and tools that lengths alone tell, and boards in few photographs.
+"""What two places explain alike: anchors, balls and tools that lengths alone tell, boards and bases in photographs.
 
 Lengths from points in a plane are the same on both of its sides, and three points always are in a plane: with a machine
 that is known, three lengths put an anchor at either of two places, and a fit ends at one of them without a remainder.
@@ -15,7 +15,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.linear import svd, triangle
 from calib.identification.machine import Layout, Machine
-from calib.identification.mirrored_boards import SeenTarget, seen_targets
+from calib.identification.mirrored_boards import Photographed, photographed
 from calib.identification.parameters import ParameterKind, scales
 from calib.identification.system import Problem
 from calib.measurement.kinds import Kind
@@ -49,34 +49,34 @@ class _Lengths(NamedTuple):
 
 
 def mirrored(problem: Problem, at: Machine, sigmas: Sequence[Array]) -> BoolArray:
-    """Return which parameters (p,) are of tools and targets that two places explain, the others being as they are.
+    """Return which parameters (p,) are of frames that two places explain, the others being as they are.
 
     ``sigmas`` (N, 1) of the rows of every set. Targets between which something is known, and what other rows than
     lengths tell of, or than photographs, are not looked at.
     """
     found, layout = np.zeros(len(problem.parameters), dtype=np.bool_), Layout.of(problem.model.robot, problem.reference)
     rows = _rows(problem, at, sigmas)
-    kinds: tuple[ParameterKind, ...] = ("tool", "target")
-    for kind in kinds if rows else ():
+    kinds: tuple[ParameterKind, ...] = ("base", "tool", "target")
+    for kind in kinds:
         free = {k: layout.frame_of(p)[0] for k, p in enumerate(problem.parameters) if p.kind == kind}
-        asked = set(free.values()) - _told_otherwise(problem, kind)
-        if not rows or not asked:
-            continue
-        ends, twice = rows.ends(kind), set()
-        for number, own in numbered(rows.target if kind == "target" else rows.tool):
-            here = rows.targets[own[0], :3, 3] if kind == "target" else np.zeros(3)
-            if number in asked and _at_two_places(here, ends[own], rows.residual[own], rows.sigma[own]):
-                twice.add(number)
+        asked = set(free.values()) - (_related(problem) if kind == "target" else set())
+        twice = set[int]()
+        if rows and kind != "base":
+            twice |= _by_lengths(rows, kind, asked - _told_otherwise(problem, kind))
+        if kind != "tool":
+            twice |= {k for k, seen in photographed(problem, at, sigmas, kind, asked) if _turned_alike(seen)}
         found[[k for k, number in free.items() if number in twice]] = True
-    return found | _turned(problem, at, sigmas, layout)
+    return found
 
 
-def _turned(problem: Problem, at: Machine, sigmas: Sequence[Array], layout: Layout) -> BoolArray:
-    """Return which parameters (p,) are of boards, or cameras on the floor, that may be turned the other way."""
-    free = np.array([layout.frame_of(p)[0] if p.kind == "target" else -1 for p in problem.parameters], dtype=np.intp)
-    asked = set(free.tolist()) - _related(problem)
-    twice = [seen.number for seen in seen_targets(problem, at, sigmas, asked) if _turned_alike(seen)]
-    return np.isin(free, twice)
+def _by_lengths(rows: _Lengths, kind: ParameterKind, asked: set[int]) -> set[int]:
+    """Return which of the tools, or targets, ``asked`` for are at two places."""
+    ends, twice = rows.ends(kind), set()
+    for number, own in numbered(rows.target if kind == "target" else rows.tool):
+        here = rows.targets[own[0], :3, 3] if kind == "target" else np.zeros(3)
+        if number in asked and _at_two_places(here, ends[own], rows.residual[own], rows.sigma[own]):
+            twice.add(number)
+    return twice
 
 
 def _rows(problem: Problem, at: Machine, sigmas: Sequence[Array]) -> _Lengths | None:
@@ -99,7 +99,7 @@ def _told_otherwise(problem: Problem, kind: ParameterKind) -> set[int]:
     others = [data for data in problem.measurements if data.kind not in _LENGTHS]
     if kind == "tool":
         return {int(t) for data in others for end in data.ends for t in np.unique(end.tool)}
-    return {int(t) for data in others for t in np.unique(data.target)} | _related(problem)
+    return {int(t) for data in others for t in np.unique(data.target)}
 
 
 def _related(problem: Problem) -> set[int]:
@@ -128,7 +128,7 @@ def _at_two_places(here: Array, ends: Array, residual: Array, sigma: Array) -> b
     return _explains_as_well(look, here, there, there - here)
 
 
-def _turned_alike(target: SeenTarget) -> bool:
+def _turned_alike(target: Photographed) -> bool:
     """Return whether a board, or a camera, explains its photographs as well turned the other way."""
     there = _least(target.look, target.there, _twisted)
     apart = rigid.inverse(target.here) @ there

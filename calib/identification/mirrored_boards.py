@@ -1,4 +1,4 @@
-"""Boards and cameras on the floor that few photographs show, where they may as well be turned the other way.
+"""Boards and cameras on the floor, and set-ups, that few photographs tell: they may as well be turned the other way.
 
 A flat board that is small in its photograph looks the same tilted to either side: turned about the line of sight by a
 half turn of its normal, its marks differ by perspective alone, which may be less than their noise (D. Oberkampf et al.,
@@ -11,28 +11,28 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray
 from calib.foundations.linear import svd, triangle
 from calib.identification.machine import Machine
 from calib.identification.observations import observe
 from calib.identification.observations.seen import Seen
-from calib.identification.parameters import scales
+from calib.identification.parameters import ParameterKind, scales
 from calib.identification.rows import photograph_numbers, scalars_of
 from calib.identification.system import Problem
-from calib.measurement.measurements import numbered
+from calib.measurement.measurements import Measurements, numbered
 
 # Of more photographs some are from other sides.
 _MOST_PHOTOGRAPHS = 20
 
 
-class SeenTarget:
-    """Rows (n) of one target that photographs show from nearly one place: board or camera, whose pose is unknown.
+class Photographed:
+    """Rows (n) of one target in few photographs: a board, or a camera beside the arm, in a place that they tell alone.
 
-    ``seen``: its rows at the machine, of which the target's pose is moved; ``sigma`` (n, 2) in px.
+    ``seen``: its rows at the machine, of which the target's pose is moved; ``sigma`` (n, 2) in px. Where it is the base
+    that they tell, the arm moves instead, which looks the same.
     """
 
-    def __init__(self, number: int, seen: Seen, sigma: Array) -> None:
-        self.number = number
+    def __init__(self, seen: Seen, sigma: Array) -> None:
         self._seen, self._sigma = seen, sigma
 
     @property
@@ -61,23 +61,33 @@ class SeenTarget:
         return (found.residual / self._sigma).ravel(), (found.target / self._sigma[:, :, None]).reshape(-1, 6)
 
 
-def seen_targets(problem: Problem, at: Machine, sigmas: Sequence[Array], asked: set[int]) -> Iterator[SeenTarget]:
-    """Yield those of the targets ``asked`` for of which few photographs of one camera are; ``sigmas`` (N, 2) in px."""
+def photographed(
+    problem: Problem, at: Machine, sigmas: Sequence[Array], kind: ParameterKind, asked: set[int]
+) -> Iterator[tuple[int, Photographed]]:
+    """Yield those of the targets, or bases, ``asked`` for that few photographs of one target tell alone, by number.
+
+    ``sigmas`` (N, 2) in px of the rows of every set.
+    """
     sets = problem.measurements
     for data, sigma in zip(sets, sigmas, strict=True):
         if not data.of_boards or data.target_links:
             continue
-        others = {int(t) for other in sets if other is not data for t in np.unique(other.target)}
+        others = {number for other in sets if other is not data for number in np.unique(_whose(other, kind)).tolist()}
         photograph = photograph_numbers(data)
-        for number, rows in numbered(data.target):
-            if number not in asked - others or len(np.unique(photograph[rows])) > _MOST_PHOTOGRAPHS:
+        for number, rows in numbered(_whose(data, kind)):
+            many = len(np.unique(photograph[rows])) > _MOST_PHOTOGRAPHS or np.ptp(data.target[rows]) > 0
+            if number not in asked - others or many:
                 continue
             own = data.subset(rows)
             blocks = problem.rates(at, scales(problem.parameters), problem.split).blocks(own)
             placed = np.concatenate([block.moved[0].placed for block in blocks])
             targets = at.frames.targets[own.target]
             seen = Seen(own, slice(None), placed, targets[:0], targets, scalars_of(own, at.frames))
-            yield SeenTarget(number, seen, sigma[rows])
+            yield number, Photographed(seen, sigma[rows])
+
+
+def _whose(data: Measurements, kind: ParameterKind) -> IntArray:
+    return data.setup if kind == "base" else data.target
 
 
 def _mirror(normal: Array, point: Array) -> Array:

@@ -1,11 +1,8 @@
 """Checks of the fit itself: whether it ended, and what it leaves beside the stated noise."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from calib.assessment.judged import NOTHING, Check
-from calib.foundations.words import listed, noun
 from calib.identification.fit import Fit
 from calib.measurement.kinds import UNIT_OF
 from calib.measurement.measurements import Measurements
@@ -32,10 +29,10 @@ def convergence(fit: Fit) -> Check:
     return Check.of("convergence", fit.step, NOTHING, fit.converged, said)
 
 
-def redundancy(fit: Fit, unchecked: Sequence[str] = (), mirrored: Sequence[str] = ()) -> Check:
+def redundancy(fit: Fit, doubt: str = "") -> Check:
     """Whether more was measured than was sought. What is measured at one pose again tells of the noise alone.
 
-    ``unchecked``: set-ups of which nothing checks the rows. ``mirrored``: tools that lengths put at two places.
+    ``doubt``: of bases and tools that the rows do not tell, though they are many.
     """
     numbers = sum(r.size for r in fit.residuals)
     again = sum(
@@ -45,19 +42,8 @@ def redundancy(fit: Fit, unchecked: Sequence[str] = (), mirrored: Sequence[str] 
     free = sum(noise.degrees_of_freedom for noise in fit.noise_by_rows) - again
     said = f"{numbers} numbers were measured, {f'{again} of them at the same poses again, ' if again else ''}"
     said += f"and {max(free, 0.0):.0f} degrees of freedom are left to judge the fit"
-    if free >= FREEDOM and unchecked:
-        exactly = (
-            f"In {noun(len(unchecked), 'set-up')} {listed(unchecked)} as many numbers were measured as there are "
-            "unknowns: several bases and tools explain them exactly, and nothing tells which is right. Measure more "
-            "poses there, or state the tool."
-        )
-        return Check.of("redundancy", free, FREEDOM, False, exactly, least=True)
-    if free >= FREEDOM and mirrored:
-        alike = (
-            f"Lengths put the {noun(len(mirrored), 'tool')} {listed(mirrored)} at two places alike, and nothing tells "
-            "which is right. Measure more lengths, at other orientations of the tip, or state the tool."
-        )
-        return Check.of("redundancy", free, FREEDOM, False, alike, least=True)
+    if free >= FREEDOM and doubt:
+        return Check.of("redundancy", free, FREEDOM, False, doubt, least=True)
     return Check.judged("redundancy", free, FREEDOM, said, f"; at least {FREEDOM:g} are needed.", least=True)
 
 
