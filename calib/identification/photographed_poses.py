@@ -65,8 +65,8 @@ def _poses(data: Measurements, target: str) -> Measurements:
     nowhere = np.broadcast_to(np.eye(4), (len(data), 4, 4))
     images, _ = every_image(sights([data], [nowhere], data.targets.index(target)))
     on_tip = data.camera is not None and data.camera.camera_on == "tip"
-    found = data.subset(np.array([row for _, row, _ in images], dtype=np.intp))
-    T = np.array([pose if on_tip else rigid.inverse(pose) for _, _, pose in images]).reshape(-1, 4, 4)
+    found = data.subset(np.array([one.row for one in images], dtype=np.intp))
+    T = np.array([one.pose if on_tip else rigid.inverse(one.pose) for one in images]).reshape(-1, 4, 4)
     n = len(images)
     return replace(
         found,

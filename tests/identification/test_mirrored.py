@@ -110,3 +110,24 @@ def test_a_small_board_in_one_photograph_may_be_tilted_to_either_side(
         turned = fit.machine.frames.targets[1, :3, :3].T @ there[:3, :3]
         off.append(float(np.linalg.norm(Rotation.from_matrix(turned).as_rotvec())))
     assert mirrored or max(off) < 0.02
+
+
+@pytest.mark.parametrize(("size", "mirrored"), [(0.03, True), (0.1, False)])
+def test_a_set_up_that_one_photograph_of_a_small_board_tells_is_not_trusted(size: float, mirrored: bool) -> None:
+    """Its base may be metres off, and tools there were stated to be known to a centimetre."""
+    rng = np.random.default_rng(4)
+    robot, arm = machines.load(*UR5), machines.arm(*UR5)
+    near = cameras.scene(rng, arm, "tip", places=cameras.BOARD * size / 0.12, sigma=0.1)
+    once, tilted = arm.draw(rng, 1), Rotation.from_rotvec((np.pi, 0.0, 0.0)) * Rotation.from_rotvec((0.4, 0.57, 0.0))
+    board = machines.pose((0.05, -0.1, 1.5 if mirrored else 0.8), tilted.as_rotvec())
+    base = near.target @ np.linalg.inv(arm.tips(once)[0] @ near.tool @ board)
+    far = replace(near, base=base)
+    sets = [
+        there.measure(robot, readings, rng, 0.1).named(setup=name)
+        for name, there, readings in (("near", near, near.draw(rng, 20)), ("far", far, once))
+    ]
+    fit = calib.identify(calib.error_model(robot, tool="pose"), sets)
+    assert names_of_mirrored(fit, "base") == (("far",) if mirrored else ())
+    found = calib.assess(fit)
+    assert any("show the board alike if tilted" in doubt for doubt in found.doubts) == mirrored
+    assert found.trusted != mirrored

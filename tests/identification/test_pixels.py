@@ -303,6 +303,19 @@ def test_a_known_tool_needs_no_start(camera_on: str) -> None:
     assert max(relative(fit.machine.frames.targets[0], true.target)) < 1e-9
 
 
+@pytest.mark.parametrize(("seed", "images"), [(7, 20), (9, 8)])
+def test_small_boards_tilted_to_the_wrong_side_in_a_third_of_the_images(seed: int, images: int) -> None:
+    """Perspective tells no side of boards 50 pixels wide; the start was 170 degrees off, and behind the camera."""
+    rng = np.random.default_rng(seed)
+    robot, arm = machines.load(UR5, TIP), machines.arm(UR5, TIP)
+    true = scene(rng, arm, "tip", places=0.25 * BOARD, sigma=0.3)
+    data = true.measure(robot, true.draw(rng, images), rng, 0.3)
+    fit = calib.identify(calib.error_model(robot, tool="pose", base="fixed"), data)
+    assert fit.noise[0].chi_square < 1.5
+    turn = fit.machine.frames.tools[0, :3, :3].T @ true.tool[:3, :3]
+    assert np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)) < 0.05
+
+
 def test_held_out_images_of_another_board_find_it() -> None:
     rng = np.random.default_rng(63)
     true = scene(rng, NOMINAL.moved(rng), "tip")

@@ -20,17 +20,21 @@ from calib.identification.initialisation.carried import Carried
 from calib.identification.initialisation.resection import (
     camera_pose,
     camera_pose_and_point,
-    camera_poses,
     crossing,
     medians,
     misses,
     not_outlying,
     rays,
+    resections,
 )
 from calib.identification.observations.pixels import marks_seen
 from calib.measurement.instruments import Camera
 from calib.measurement.measurements import Measurements
 from calib.measurement.projection import LEAST_DEPTH, undistort
+
+# So many images at a time, so many times: where a third is tilted to the wrong side, some draw has none of these. And
+# how often all are asked again to which side they are.
+_FEW, _STARTS, _MOST_TURNS = 4, 20, 5
 
 
 class TargetRows(NamedTuple):
@@ -142,7 +146,9 @@ def target_pose(name: str, own: Sequence[TargetRows], tools: Array) -> Array:
     if not any(sight.data.of_boards for sight in own):
         directions = [(T[:, :3, :3] @ sight.rays[:, :, None])[:, :, 0] for T, sight in zip(cameras, own, strict=True)]
         return rigid.translation(crossing(np.concatenate(cameras)[:, :3, 3], np.concatenate(directions)))
-    seen = [sight.tips[row] @ tools[sight.tool[row]] @ rigid.inverse(pose) for sight, row, pose in images_of(own)]
+    seen = [
+        one.sight.tips[one.row] @ tools[one.sight.tool[one.row]] @ rigid.inverse(one.pose) for one in images_of(own)
+    ]
     if not seen:
         raise _too_few(own, name)
     # An image with outliers is far off, and the median hardly minds.
@@ -167,19 +173,29 @@ def refuse_behind(own: Sequence[TargetRows], tools: Array, target: Array) -> Non
             )
 
 
-def images_of(own: Sequence[TargetRows]) -> list[tuple[TargetRows, int, Array]]:
-    """Return the images of a board: the first row of each, and the camera's pose in the board.
+class Image(NamedTuple):
+    """An image of a board: its first row, and the camera's ``pose`` (4, 4) in the board.
 
-    Images that fit no pose by far as well as most of them are left out.
+    ``other``: the pose that explains it second best; it is ``sure`` where that is clearly worse.
     """
+
+    sight: TargetRows
+    row: int
+    pose: Array
+    other: Array
+    sure: bool
+
+
+def images_of(own: Sequence[TargetRows]) -> list[Image]:
+    """Return the images of a board. Those that fit no pose by far as well as most of them are left out."""
     found, missed = every_image(own)
     kept = not_outlying(missed) if found else ()
     return [image for image, good in zip(found, kept, strict=True) if good]
 
 
-def every_image(own: Sequence[TargetRows]) -> tuple[list[tuple[TargetRows, int, Array]], Array]:
+def every_image(own: Sequence[TargetRows]) -> tuple[list[Image], Array]:
     """Return the images (n) of a board that tell a pose, as :func:`images_of`, and how far marks are off it (n,)."""
-    found: list[tuple[TargetRows, int, Array]] = []
+    found: list[Image] = []
     missed: list[float] = []
     for sight in own if any(sight.data.of_boards for sight in own) else ():
         # One image: the robot stood still, and one tool was there.
@@ -188,36 +204,65 @@ def every_image(own: Sequence[TargetRows]) -> tuple[list[tuple[TargetRows, int, 
         order = np.argsort(number, kind="stable")
         image, ends = number[order], np.cumsum(np.bincount(number)).tolist()
         places, b = sight.places[order], sight.rays[order]
-        poses, told = camera_poses(*(np.split(part, ends[:-1]) for part in (places, b)))
+        poses, others, told, sure = resections(*(np.split(part, ends[:-1]) for part in (places, b)))
         off = medians(misses(poses[image], places, b), image, len(poses))
         first = order[np.flatnonzero(np.diff(image, prepend=-1))]
-        found += [(sight, int(first[k]), poses[k]) for k in np.flatnonzero(told)]
+        found += [Image(sight, int(first[k]), poses[k], others[k], bool(sure[k])) for k in np.flatnonzero(told)]
         missed += off[told].tolist()
     return found, np.array(missed)
 
 
-def _aligned(model: ErrorModel, images: Sequence[tuple[TargetRows, int, Array]], tools: Array) -> tuple[Array, Array]:
-    """Return the base in the target's frame, and the tools, from poses of the tool seen there."""
-    poses = np.stack([pose if sight.camera.camera_on == "tip" else rigid.inverse(pose) for sight, _, pose in images])
-    rows = TipObservations(
-        np.stack([sight.tips[row] for sight, row, _ in images]),
-        poses[:, :3, 3],
-        poses[:, :3, :3],
-        np.array([sight.tool[row] for sight, row, _ in images], dtype=np.intp),
-    )
+def _aligned(model: ErrorModel, images: Sequence[Image], tools: Array) -> tuple[Array, Array]:
+    """Return the base in the target's frame, and the tools, from poses of the tool seen there.
+
+    An image that may be of a board tilted to the other side is taken for what agrees with the others: with those of a
+    few images, of some tried, that most agree with.
+    """
+    on_tip = np.array([one.sight.camera.camera_on == "tip" for one in images])[:, None, None]
+    both = np.stack([[one.pose for one in images], [one.other for one in images]])
+    both = np.where(on_tip, both, rigid.inverse(both))
+    tips = np.stack([one.sight.tips[one.row] for one in images])
+    tool = np.array([one.sight.tool[one.row] for one in images], dtype=np.intp)
     fixed = model.tool == "fixed"
     known = KnownFrames(None, tools[:, :3, 3] if fixed else None, tools[:, :3, :3] if fixed else None)
-    base, found, _ = base_and_tools(rows, known, tools)
+
+    def aligned(poses: Array, own: IntArray) -> tuple[Array, Array]:
+        seen = TipObservations(tips[own], poses[own, :3, 3], poses[own, :3, :3], tool[own])
+        found = base_and_tools(seen, known, tools)
+        return found.base, found.tools
+
+    def apart(start: tuple[Array, Array]) -> Array:
+        """How far both poses of every image (2, n) are turned from where the tool is then."""
+        base, found = start
+        turned = np.swapaxes((base @ tips @ found[tool])[:, :3, :3], 1, 2) @ both[:, :, :3, :3]
+        return np.asarray(np.linalg.norm(rigid.log3(turned), axis=2))
+
+    every, sure = np.arange(len(images)), np.array([one.sure for one in images])
+    poses, chosen = both[0], np.zeros(len(images), dtype=np.intp)
+    start = aligned(poses, every)
+    if not sure.all():
+        few = [np.sort(own) for own in _subsets(len(images))] if len(np.unique(tool)) == 1 else []
+        starts = [start, *(aligned(poses, own) for own in few)]
+        start = min(starts, key=lambda one: float(np.median(apart(one).min(axis=0))))
+        for _ in range(_MOST_TURNS):
+            before, chosen = chosen, np.where(sure, 0, np.argmin(apart(start), axis=0))
+            poses = both[chosen, every]
+            start = aligned(poses, every)
+            if np.array_equal(chosen, before):
+                break
+    base, found = start
     # An image that is read wrongly is by far off the others.
-    T = rigid.inverse(base @ rows.tips @ found[rows.tool]) @ poses
+    T = rigid.inverse(base @ tips @ found[tool]) @ poses
     kept = not_outlying(model.robot.reach * np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)) & not_outlying(
         np.linalg.norm(T[:, :3, 3], axis=1)
     )
-    if kept.all():
-        return base, found
-    some = TipObservations(rows.tips[kept], rows.position[kept], rows.orientation[kept], rows.tool[kept])
-    again = base_and_tools(some, known, tools)
-    return again.base, again.tools
+    return start if kept.all() else aligned(poses, np.flatnonzero(kept))
+
+
+def _subsets(n: int) -> list[IntArray]:
+    """Return some few of n images at a time, the same ones each time."""
+    rng = np.random.default_rng(n)
+    return [rng.choice(n, _FEW, replace=False) for _ in range(_STARTS)] if n > _FEW else []
 
 
 def _carried(own: Sequence[TargetRows], name: str, tools: Array, sought: set[int]) -> Array:

@@ -29,6 +29,8 @@ _NEGLIGIBLE = 1e-10
 # So many times the median distance from a fit are an outlier, which has no say in a start.
 _GROSS = 5.0
 _MOST_TRIMS = 4
+# The second pose of a photograph is clearly worse by four standard deviations, squared.
+_CLEARLY = 16.0
 # Searches for poses end where a step gains less than this share of the cost, or moves by less than that.
 _SAME_COST, _SAME_PLACE, _MOST_STEPS = 1e-10, 1e-12, 100
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING, _TINY = 1e-3, 1e-9, 1e9, 1e-15
@@ -52,43 +54,77 @@ def camera_pose(points: Array, b: Array) -> Array | None:
     return poses[0] if found[0] else None
 
 
+class Resections(NamedTuple):
+    """Poses (m, 4, 4) of a camera in m photographs, which are ``told`` (m,), and the ``others`` that fit second best.
+
+    ``sure`` (m,): where those fit clearly worse. Elsewhere a plane looks the same tilted to the other side.
+    """
+
+    poses: Array
+    others: Array
+    told: BoolArray
+    sure: BoolArray
+
+    @classmethod
+    def none(cls, m: int) -> "Resections":
+        """Return those of photographs that tell nothing yet, to be filled."""
+        poses = np.tile(np.eye(4), (m, 1, 1))
+        return cls(poses, poses.copy(), np.zeros(m, dtype=np.bool_), np.ones(m, dtype=np.bool_))
+
+    def some(self, photographs: BoolArray) -> "Resections":
+        """Return those of some photographs (m,)."""
+        poses, others = self.poses[photographs], self.others[photographs]
+        return Resections(poses, others, self.told[photographs], self.sure[photographs])
+
+    def put(self, photographs: slice | BoolArray, new: "Resections") -> None:
+        """Write ``new`` ones in the place of some photographs."""
+        for part, of_new in zip(self, new, strict=True):
+            part[photographs] = of_new
+
+
 def camera_poses(points: Sequence[Array], b: Sequence[Array]) -> tuple[Array, BoolArray]:
-    """Return the poses (m, 4, 4) of a camera in m photographs, as :func:`camera_pose` does, and which are told (m,).
+    """Return the poses (m, 4, 4) of a camera in m photographs, as :func:`camera_pose` does, and which are told (m,)."""
+    found = resections(points, b)
+    return found.poses, found.told
+
+
+def resections(points: Sequence[Array], b: Sequence[Array]) -> Resections:
+    """Return the poses of a camera in m photographs, and what they may be taken for.
 
     All are sought at once: that takes a tenth of the time of one after another.
     """
-    poses, found = np.tile(np.eye(4), (len(points), 1, 1)), np.zeros(len(points), dtype=np.bool_)
+    found = Resections.none(len(points))
     counts, start = np.array([len(one) for one in points], dtype=np.intp), 0
     ends = np.cumsum(counts)
     while start < len(points):
         end = max(int(np.searchsorted(ends, ends[start] - counts[start] + _AT_ONCE, side="right")), start + 1)
         some = slice(start, end)
         told = [np.ascontiguousarray(np.concatenate(part[some]), dtype=np.float64).tobytes() for part in (points, b)]
-        poses[some], found[some] = _trimmed_poses(*told, tuple(counts[some].tolist()))
+        found.put(some, _trimmed_poses(*told, tuple(counts[some].tolist())))
         start = end
-    return poses, found
+    return found
 
 
 # A search among models or lenses begins with the same photographs again and again.
 @lru_cache(maxsize=_REMEMBERED)
-def _trimmed_poses(points_of: bytes, b_of: bytes, counts: tuple[int, ...]) -> tuple[Array, BoolArray]:
+def _trimmed_poses(points_of: bytes, b_of: bytes, counts: tuple[int, ...]) -> Resections:
     points, b = (np.frombuffer(data).reshape(-1, 3) for data in (points_of, b_of))
     photograph = np.repeat(np.arange(len(counts)), counts)
-    poses, found = _camera_poses(points, b, photograph, len(counts))
-    kept, open_ = np.ones(len(points), dtype=np.bool_), found.copy()
+    found = _camera_poses(points, b, photograph, len(counts))
+    kept, open_ = np.ones(len(points), dtype=np.bool_), found.told.copy()
     for _ in range(_MOST_TRIMS):
         last, rows = kept, np.flatnonzero(open_[photograph])
         kept = last.copy()
-        off, own = misses(poses[photograph[rows]], points[rows], b[rows]), photograph[rows]
+        off, own = misses(found.poses[photograph[rows]], points[rows], b[rows]), photograph[rows]
         kept[rows] = off <= _GROSS * np.maximum(medians(off, own, len(counts)), _NEGLIGIBLE)[own]
         open_ &= np.bincount(photograph, kept != last, len(counts)) > 0
         again = np.flatnonzero(open_[photograph] & kept)
         if not open_.any():
             break
-        better, told = _camera_poses(points[again], b[again], photograph[again], len(counts))
-        open_ &= told
-        poses[open_] = better[open_]
-    return read_only(poses), found
+        better = _camera_poses(points[again], b[again], photograph[again], len(counts))
+        open_ &= better.told
+        found.put(open_, better.some(open_))
+    return Resections(read_only(found.poses), read_only(found.others), found.told, found.sure)
 
 
 def medians(values: Array, photograph: IntArray, m: int) -> Array:
@@ -156,12 +192,12 @@ class _Seen(NamedTuple):
         return np.asarray(np.eye(3) - self.b[:, :, None] * self.b[:, None, :])
 
 
-def _camera_poses(points: Array, b: Array, photograph: IntArray, m: int) -> tuple[Array, BoolArray]:
-    """Return the poses (m, 4, 4) of all photographs, and which are told (m,); no mark is left out."""
-    poses, found = np.tile(np.eye(4), (m, 1, 1)), np.bincount(photograph, minlength=m) >= _LEAST_OF_PLANE
-    if not found.any():  # none at all, where a lens bends no ray to the pixels
-        return poses, found
-    rows = found[photograph]
+def _camera_poses(points: Array, b: Array, photograph: IntArray, m: int) -> Resections:
+    """Return the poses of all photographs; no mark is left out."""
+    every, enough = Resections.none(m), np.bincount(photograph, minlength=m) >= _LEAST_OF_PLANE
+    if not enough.any():  # none at all, where a lens bends no ray to the pixels
+        return every
+    rows = enough[photograph]
     seen = _Seen.of(points[rows], b[rows], photograph[rows])
     middle = seen.sums(seen.points) / seen.counts[:, None]
     # About its middle a board's turn and its place hardly look alike.
@@ -170,17 +206,20 @@ def _camera_poses(points: Array, b: Array, photograph: IntArray, m: int) -> tupl
     spread = np.sqrt(np.maximum(squares[:, ::-1], 0.0))
     flat = spread[:, 2] <= _FLAT * spread[:, 0]
     told = (spread[:, 1] > _STRAIGHT * spread[:, 0]) & (flat | (seen.counts >= _LEAST_OF_SPACE))
-    A, s = np.tile(np.eye(3), (len(told), 1, 1)), np.zeros((len(told), 3))
+    found, sure = np.tile(np.eye(4), (2, len(told), 1, 1)), np.ones(len(told), dtype=np.bool_)
     for those, turns_of in ((told & flat, _of_planes), (told & ~flat, _of_spaces)):
         if those.any():
             own = seen.some(those)
             searched = [_searched(own, turns) for turns in turns_of(own, np.swapaxes(axes[those], 1, 2)[:, ::-1])]
-            best, every = np.argmin([cost for *_, cost in searched], axis=0), np.arange(len(own.first))
-            A[those], s[those] = (np.stack(part)[best, every] for part in list(zip(*searched, strict=True))[:2])
-    number = np.flatnonzero(found)
-    poses[number] = rigid.inverse(rigid.placement(A, s - (A @ middle[:, :, None])[:, :, 0]))
-    found[number] = told
-    return poses, found
+            A, s, cost = (np.stack(part) for part in zip(*searched, strict=True))
+            order, number = np.argsort(cost, axis=0, kind="stable")[[0, -1]], np.arange(len(own.first))
+            turned, ordered = A[order, number], cost[order, number]
+            away = s[order, number] - (turned @ middle[those][:, :, None])[..., 0]
+            found[:, those] = rigid.inverse(rigid.placement(turned, away))
+            of_one = ordered[0] / np.maximum(2 * own.counts - 6, 1)
+            sure[those] = (len(searched) == 1) | (ordered[1] > ordered[0] + _CLEARLY * of_one)
+    every.put(enough, Resections(found[0], found[1], told, sure))
+    return every
 
 
 def _searched(seen: _Seen, A: Array) -> tuple[Array, Array, Array]:
