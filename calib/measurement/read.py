@@ -1,6 +1,7 @@
 """Measurements from a file, a DataFrame or arrays, in one call."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from calib.measurement.table import (
     DataFrameLike,
     HeaderError,
     Table,
+    as_columns,
+    names_in,
     read_table,
     table_from_arrays,
     table_from_frame,
@@ -87,7 +90,7 @@ def read_stream(
     ``source`` has a column ``time`` by the instrument's clock, and no joints; ``readings`` has ``time`` by the
     controller's, and the joints. ``clock``: whether the instrument's is "free", so that offset and skew are found with
     the machine, or "given", the same as the controller's; :class:`calib.measuring.Clock` says more. All else as of
-    :func:`read_measurements`. Rows for which no joint is known are left out.
+    :func:`read_measurements`; ``columns`` are those of both. Rows for which no joint is known are left out.
 
     Raises MeasurementError, or JobError for an option, with one sentence.
     """
@@ -110,7 +113,8 @@ def stream_of(
     columns: Mapping[str, str] | Columns | None = None,
 ) -> Measurements:
     """Return what :func:`read_stream` does; ``offset`` and ``in_order`` as of :func:`read_measurements`."""
-    table, joints = _table(source, AS_WRITTEN if columns is None else columns), Joints.of(robot)
+    own_columns, of_readings = _of_each(as_columns(AS_WRITTEN if columns is None else columns), source, readings)
+    table, joints = _table(source, own_columns), Joints.of(robot)
     found = measurements_from_table(
         table,
         robot.readings,
@@ -122,8 +126,31 @@ def stream_of(
     )
     known = clock if isinstance(clock, Clock) else Clock(clock)
     times_of(table)
-    own = joint_stream(_table(readings, AS_WRITTEN), robot.readings, known.gap, joints)
+    own = joint_stream(_table(readings, of_readings), robot.readings, known.gap, joints)
     return streamed(found, own, known, robot, ordered=in_order)
+
+
+def _of_each(columns: Columns, source: Source, readings: Source) -> tuple[Columns, Columns]:
+    """Return how each table of a stream is read: titles that only the readings have are of these."""
+    if not columns.names and not columns.ignore:
+        return columns, AS_WRITTEN
+    own, theirs = map(_names_in, (source, readings))
+    moved = Columns(
+        {name: title for name, title in columns.names.items() if title in theirs},
+        tuple(title for title in columns.ignore if title in theirs),
+    )
+    return replace(
+        columns,
+        names={name: title for name, title in columns.names.items() if title in own or title not in theirs},
+        ignore=tuple(title for title in columns.ignore if title in own or title not in theirs),
+    ), moved
+
+
+def _names_in(source: Source) -> frozenset[str]:
+    if isinstance(source, str | Path):
+        return names_in(source)
+    labels: list[Any] = list(source) if isinstance(source, Mapping) else list(source.columns)
+    return names_in([label for label in labels if isinstance(label, str)])
 
 
 def _table(source: Source, columns: Mapping[str, str] | Columns) -> Table:

@@ -4,6 +4,7 @@ The header decides what a column holds, so the renaming of somebody else's heade
 here on; which joints and tools they belong to is decided in :mod:`calib.measurement.from_table`.
 """
 
+import contextlib
 import itertools
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -165,6 +166,22 @@ def read_table(path: str | Path, columns: Mapping[str, str] | Columns = AS_WRITT
     # Column by column, and what is joined is let go: all columns are in memory once, one of them twice.
     values = [_joined([part.values.pop() for part in parts]) for _ in header][::-1]
     return _whole(header, values, np.concatenate([part.numbers for part in parts]), where, as_columns(columns))
+
+
+def names_in(source: str | Path | Iterable[str]) -> frozenset[str]:
+    """Return what the columns of a table of text, or these titles, may be called in ``Columns``: whole, or bare."""
+    titles: Iterable[str]
+    if isinstance(source, str | Path):
+        where = str(source)
+        titles = layout(in_bytes(read_bytes(Path(source), MeasurementError), where), where).titles
+    else:
+        titles = source
+    found = set()
+    for title in titles:
+        found.add(title.strip())
+        with contextlib.suppress(HeaderError):
+            found.add(_split(title)[0])
+    return frozenset(found)
 
 
 class _Part(NamedTuple):

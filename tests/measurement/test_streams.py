@@ -1,8 +1,11 @@
 """Streams: joint readings between samples, gaps, clocks without a guess, poses at rest, and what is refused."""
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import calib
@@ -48,6 +51,27 @@ def test_angles_that_are_told_within_a_turn_go_on_between_samples(made: Streams)
     at = np.random.default_rng(1).uniform(1.0, 8.0, 500)
     np.testing.assert_allclose(np.diff(joints.at(at), axis=0), np.diff(made.motion.at(at), axis=0), atol=4e-8)
     np.testing.assert_allclose([one.largest for one in joints.following], 1e-3)
+
+
+def test_columns_of_either_table_are_renamed_and_ignored(made: Streams, tmp_path: Path) -> None:
+    """A driver tells the fingers as well, and has its own names for joints."""
+    first = made.robot.readings[0].name
+    joints = {("own/pan" if name == f"{first} [rad]" else name): x for name, x in made.joints.items()}
+    joints["finger [rad]"] = joints["seq"] = np.zeros(len(joints["time [s]"]))
+    seen = made.seen | {"quality": np.ones(len(made.seen["time [s]"]))}
+    files = []
+    for name, columns in (("seen", seen), ("joints", joints)):
+        rows = "\n".join(",".join(map(repr, map(float, row))) for row in zip(*columns.values(), strict=True))
+        files.append(tmp_path / f"{name}.csv")
+        files[-1].write_text(f"{','.join(columns)}\n{rows}\n")
+    how = calib.measuring.Columns({f"{first} [rad]": "own/pan"}, ("finger", "seq", "quality"))
+    wanted = calib.measuring.read_stream(made.seen, made.robot, made.joints)
+    for source, readings in ((seen, joints), files, (pd.DataFrame(seen), pd.DataFrame(joints))):
+        found = calib.measuring.read_stream(source, made.robot, readings, columns=how)
+        np.testing.assert_array_equal(found.readings, wanted.readings)
+    for wrong in (replace(how, ignore=("fingr",)), replace(how, names={"x [m]": "own/pn"})):
+        with pytest.raises(CalibError, match=r"there is no column '(fingr' to ignore|own/pn' to read as 'x \[m\]')"):
+            calib.measuring.read_stream(files[0], made.robot, files[1], columns=wrong)
 
 
 def test_longer_gaps_are_not_bridged_and_shorter_ones_are(made: Streams) -> None:
