@@ -639,6 +639,43 @@ def test_a_database_that_was_not_closed_is_not_read_in_part(end: str, tmp_path: 
     assert len(read_topic(path, "/j").rows) == 1
 
 
+@pytest.mark.parametrize("index", [True, False])
+def test_chunks_of_mcap_are_not_asked_for_every_topic(index: bool, tmp_path: Path) -> None:
+    """A megabyte holds thousands of both."""
+    import time
+
+    def record(op: int, data: bytes) -> bytes:
+        return struct.pack("<BQ", op, len(data)) + data
+
+    def text(data: bytes) -> bytes:
+        return struct.pack("<I", len(data)) + data
+
+    topic_count, chunk_count = 16_000, 4_500
+    raw = record(5, struct.pack("<HIQQ", topic_count - 1, 0, BEGIN, BEGIN) + bytes(4))
+    begin = b"\x89MCAP0\r\n" + record(1, text(b"ros2") + text(b""))
+    chunk = record(6, struct.pack("<QQQI", BEGIN, BEGIN, len(raw), 0) + text(b"") + struct.pack("<Q", len(raw)) + raw)
+    at = len(begin) + len(chunk)
+    listed = record(7, struct.pack("<H", topic_count - 1) + text(struct.pack("<QQ", BEGIN, 0)))
+    offsets = struct.pack("<HQ", topic_count - 1, at) if index else b""
+    told = record(
+        8,
+        struct.pack("<QQQQ", BEGIN, BEGIN, len(begin), len(chunk))
+        + text(offsets)
+        + struct.pack("<Q", len(listed))
+        + text(b"")
+        + struct.pack("<QQ", len(raw), len(raw)),
+    )
+    schema = record(3, struct.pack("<H", 1) + text(b"a/b") + text(b"ros2msg") + text(b"int8 a"))
+    channels = b"".join(
+        record(4, struct.pack("<HH", k, 1) + text(b"") + text(b"") + text(b"")) for k in range(topic_count)
+    )
+    last = record(2, struct.pack("<QQI", at + len(listed), 0, 0)) + b"\x89MCAP0\r\n"
+    (tmp_path / "a.mcap").write_bytes(begin + chunk + listed + schema + channels + chunk_count * told + last)
+    begun = time.process_time()
+    assert [topic.messages for topic in topics(tmp_path / "a.mcap")] == [chunk_count]
+    assert time.process_time() - begun < 5.0
+
+
 def test_channels_of_mcap_that_are_not_of_ros_are_passed_over(tmp_path: Path) -> None:
     path = of_mcap(tmp_path / "r.mcap", [*range(9)], chunk=False)
     data = path.read_bytes()

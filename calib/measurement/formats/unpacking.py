@@ -236,6 +236,8 @@ def _mcap_reader(of_mcap: Any) -> Any:
     """Return a reader of MCAP that needs no index of messages, and takes messages in the order in which they are."""
 
     class Mcap(of_mcap.McapReader):  # type: ignore[misc]  # rosbags is an extra, which is not looked at
+        chunks: list[Any]
+
         def read_index(self) -> None:
             super().read_index()
             # When messages were recorded is told by statistics, or else by indexes.
@@ -246,12 +248,27 @@ def _mcap_reader(of_mcap: Any) -> Any:
             if not self.chunks:
                 yield from self.messages_scan(connections, start, stop)
                 return
-            for chunk in self.chunks:
-                if not chunk.message_index_offsets:
-                    chunk.channel_count.update((one.id, 1) for one in connections)
-            yield from super().messages(connections, start, stop)
+            every, wanted = self.chunks, {one.id for one in connections}
+            # Each chunk would be asked for every topic, one after the other, and one without an index has none.
+            self.chunks = [
+                chunk._replace(channel_count=_All())
+                for chunk in every
+                if not (chunk.message_index_offsets and wanted.isdisjoint(chunk.message_index_offsets))
+            ]
+            try:
+                if self.chunks:
+                    yield from super().messages(connections, start, stop)
+            finally:
+                self.chunks = every
 
     return Mcap
+
+
+class _All(dict[int, int]):
+    """Says of every topic that a chunk has a message of it."""
+
+    def get(self, _: int, __: Any = None) -> int:
+        return 1
 
 
 def _of_channel(told: Callable[[Any], Any], schema: Any) -> Any:
