@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from calib.foundations.errors import MeasurementError
-from calib.measurement.formats import message_types, unpacking
+from calib.measurement.formats import message_types, recordings, unpacking
 from calib.measurement.formats.recordings import read_topic, topics
 from calib.measurement.formats.sheet import Sheet, read_sheet
 from scripts.development.fuzz_sensors import MOTIVE as MOTIVE_BYTES
@@ -637,6 +637,15 @@ def test_a_database_that_was_not_closed_is_not_read_in_part(end: str, tmp_path: 
         read_topic(path, "/j")
     beside.write_bytes(b"")  # as SQLite leaves it
     assert len(read_topic(path, "/j").rows) == 1
+
+
+def test_a_recording_has_so_many_topics_and_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each is a line of a table on the terminal."""
+    path = recording(tmp_path, "mcap")
+    monkeypatch.setattr(recordings, "MOST_TOPICS", 5)
+    with pytest.raises(MeasurementError, match=r"mcap: has more than 5 topics and frames of transforms\.$"):
+        topics(path)
+    assert len(read_topic(path, "/tf:camera").rows) == 20
 
 
 @pytest.mark.parametrize("index", [True, False])

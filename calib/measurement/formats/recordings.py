@@ -21,7 +21,7 @@ from calib.foundations.files import DAMAGED, is_there, read_bytes, sentences
 from calib.foundations.words import counted, listed, near, shown
 from calib.measurement.formats.message_types import Told, Values, told_by
 from calib.measurement.formats.sheet import Sheet
-from calib.measurement.formats.unpacking import limited
+from calib.measurement.formats.unpacking import MOST_TOPICS, limited
 from calib.measurement.formats.yaml_events import trouble
 
 SUFFIXES = frozenset((".bag", ".mcap", ".db3"))
@@ -67,6 +67,8 @@ def topics(path: Path) -> tuple[Topic, ...]:
         kinds: dict[str, tuple[str, str]] = {}
         for name, kind, told, time, _ in _messages(reader, path, None):
             times.setdefault(name, []).append(time)
+            if len(times) > MOST_TOPICS:
+                raise MeasurementError(f"{path}: has more than {MOST_TOPICS} topics and frames of transforms.")
             # Whoever sends something else under the same name does not hide what can be read.
             if name not in kinds or (told.of and not kinds[name][1]):
                 kinds[name] = kind, told.of
