@@ -17,6 +17,8 @@ from calib.measurement.cells import Line, beginning, cells, is_comment
 # In the order in which they are taken where several divide as well: a comma may also be a decimal one.
 _SEPARATORS = ("\t", ";", "|", ",")
 _LOOKED_AT = 200
+# Cells of what a spreadsheet has above a table, as "Number" and 7.
+_A_PAIR = 2
 _NAMES = {"\t": "tabs", ";": "semicolons", "|": "bars", " ": "blanks"}
 _MARKS = re.compile(r"^\s*(?:#|//|%)+\s*")
 # Units that may stand behind a name without brackets; shorter ones are the ends of too many names.
@@ -65,7 +67,7 @@ def layout(data: bytes, where: str) -> Layout:
     separator = _separator([line.text for line in plain])
     remarks = [f"cells are separated by {_NAMES[separator]}"] if separator in _NAMES else []
     rows = [cells(line.text, separator, f"{where}:{line.number}") for line in plain]
-    if _is_data(rows[0], separator):
+    if _first_of_data(rows, separator) == 0:
         return _without_header(first, plain[0], rows[0], separator, remarks)
     if header := header_of(rows, separator):
         remarks.append(f"{counted(header, 'line')} before the header passed over")
@@ -122,7 +124,7 @@ def header_of(rows: Sequence[Sequence[str]], separator: str) -> int:
     It is the first one that has as many cells as the first row of numbers, most of them filled: a spreadsheet fills up
     every line to the width of the table, those above the header as well.
     """
-    data_row = next((i for i, row in enumerate(rows) if _is_data(row, separator)), 0)
+    data_row = _first_of_data(rows, separator) or 0
     like_data = [i for i in range(data_row) if len(rows[i]) == len(rows[data_row])]
     return next((i for i in like_data if _is_filled(rows[i])), like_data[0] if like_data else 0)
 
@@ -139,8 +141,14 @@ def is_number(cell: str, separator: str) -> bool:
 
 def _is_data(row: Sequence[str], separator: str) -> bool:
     filled = [cell for cell in row if cell]
-    numbers = sum(is_number(cell, separator) for cell in filled)
-    return bool(filled) and (numbers == len(filled) or (2 * numbers >= len(filled) and _is_filled(row)))
+    return bool(filled) and 2 * sum(is_number(cell, separator) for cell in filled) >= len(filled)
+
+
+def _first_of_data(rows: Sequence[Sequence[str]], separator: str) -> int | None:
+    """Return which row is the first of numbers; not a word and a number above the header, if there are others."""
+    found = [i for i, row in enumerate(rows) if _is_data(row, separator)]
+    plain = (i for i in found if sum(map(bool, rows[i])) != _A_PAIR or _is_filled(rows[i]))
+    return next(plain, found[0] if found else None)
 
 
 def _is_filled(row: Sequence[str]) -> bool:

@@ -312,6 +312,16 @@ def test_rows_above_the_header_of_a_spreadsheet_are_passed_over(above: list[obje
         assert found.remarks[-1] == said
 
 
+def test_rows_with_few_cells_are_rows(folder: Path) -> None:
+    """Points of which an exporter leaves most columns empty, below a line of its own and without a header."""
+    rows = "P1,1.5,2.5,3.5,,,,,\nP2,4.5,5.5,6.5,,,,,\n"
+    (folder / "a.csv").write_text(f"An instrument\nName,X,Y,Z,A,B,C,Tolerance,Remark\n{rows}")
+    (folder / "b.csv").write_text(rows)
+    assert read_sheet("a.csv").titles == ("Name", "X", "Y", "Z", "A", "B", "C", "Tolerance", "Remark")
+    for name in ("a.csv", "b.csv"):
+        assert [row[:2] for row in read_sheet(name).rows] == [("P1", "1.5"), ("P2", "4.5")]
+
+
 def test_a_row_of_units_in_a_workbook_is_no_row(folder: Path) -> None:
     """Rows that are joined by names would lose it, and files that stand below each other would have it within them."""
     openpyxl = pytest.importorskip("openpyxl")
