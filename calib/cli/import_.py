@@ -84,7 +84,7 @@ def import_(
     joining: dict[str, object] = {"--by": by, "--stack": stack}
     if not images:
         refuse_idle("of photographs alone: calib import images FOLDER ...", of_images.given())
-    if any(is_recording(file) for file in files):
+    if not images and any(is_recording(file) for file in files):
         refuse_idle("not of a recording, of which --topic makes a table.", {**joining, "--robot": robot})
         _recording(files, topic, out, telling)
         return

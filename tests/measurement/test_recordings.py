@@ -263,6 +263,18 @@ def test_a_recording_of_nothing(tmp_path: Path) -> None:
         read_topic(of_joints(tmp_path / "r", "/j", []), "/j")
 
 
+def test_a_folder_without_metadata_is_told_what_to_do(tmp_path: Path) -> None:
+    path = recording(tmp_path, "mcap")
+    (path / "metadata.yaml").unlink()
+    said = run("import", path)
+    assert (said.code, said.out) == (1, "")
+    assert "has no metadata.yaml, as the recorder was not closed; give 'mcap.mcap', or let ros2 bag reindex" in said.err
+    assert run("import", path / "mcap.mcap").code == 0
+    # Beside photographs, a recording is not meant.
+    said = run("import", "images", path, "-o", tmp_path / "t.csv")
+    assert said.err.endswith("images takes one folder, --board and --readings.\n")
+
+
 def test_the_command_lists_and_writes(tmp_path: Path) -> None:
     path = recording(tmp_path, "mcap")
     said = run("import", path, "--json")

@@ -4,10 +4,10 @@ Needs the package rosbags, which is pure Python and asks for no ROS. Times are t
 those at which they were recorded, in s since the recording began: tables of one recording have one zero.
 """
 
+import contextlib
 import math
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import compress, pairwise
 from operator import itemgetter
 from pathlib import Path
@@ -53,8 +53,16 @@ class Topic(NamedTuple):
 
 
 def is_recording(path: Path) -> bool:
-    """Return whether a path is that of a recording: a file by its ending, or a folder with metadata."""
-    return path.suffix.lower() in SUFFIXES or is_there(path / "metadata.yaml", Path.is_file)
+    """Return whether a path is that of a recording: a file by its ending, or a folder with metadata or such files."""
+    if path.suffix.lower() in SUFFIXES or is_there(path / "metadata.yaml", Path.is_file):
+        return True
+    with contextlib.suppress(OSError):
+        return path.is_dir() and bool(_recorded(path))
+    return False
+
+
+def _recorded(folder: Path) -> list[str]:
+    return sorted(file.name for file in folder.iterdir() if file.suffix.lower() in SUFFIXES)
 
 
 def topics(path: Path) -> tuple[Topic, ...]:
@@ -233,7 +241,7 @@ def _may_hold(connection: Any, told: Told, wanted: str) -> bool:
     return bool(connection.topic == wanted)
 
 
-@contextmanager
+@contextlib.contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """Open a recording; whatever its reader says of damage is one sentence."""
     _refuse_irregular(path)
@@ -299,3 +307,8 @@ def _refuse_irregular(path: Path) -> None:
                 raise MeasurementError(f"{file}: no such file or folder.")
             if not (file.is_file() or (file.is_dir() and file != path)):
                 raise MeasurementError(f"{file}: is not a regular file.")
+        if path.is_dir() and not (path / "metadata.yaml").exists() and (names := _recorded(path)):
+            raise MeasurementError(
+                f"{path}: has no metadata.yaml, as the recorder was not closed; give {listed(names)}, or let ros2 bag "
+                "reindex make it."
+            )
