@@ -157,6 +157,17 @@ def test_errors_of_a_load_that_held_out_rows_do_not_have_are_outside_their_regio
     assert calib.assess(fit, cell.measured(loaded + load * np.cos(loaded), loaded, sigma=3e-5)).trusted
 
 
+def test_lengths_of_a_tool_that_only_held_out_rows_have_judge(cell: Cell, fit: calib.Fit) -> None:
+    """Nobody measured a place of it: how far its points are apart is not known, and not asked for."""
+    q = cell.draw(40)
+    points = (cell.machine.base @ cell.machine.arm.tips(q))[:, :3] @ (0.0, 0.04, 0.2, 1.0)
+    lengths = np.linalg.norm(points - (3.0, 0.5, 0.2), axis=1)
+    held_out = calib.measuring.distances(cell.robot, q, lengths, sigma=5e-5).named(tool="other")
+    found = calib.assess(fit, held_out)
+    assert found.trusted
+    assert found.metrics["validation"]["after"]["distance"].rms < 1e-4
+
+
 def test_random_numbers_are_not_explained() -> None:
     cell = Cell()  # its own: what others have drawn before is a matter of chance
     data = cell.measured(cell.draw(60))

@@ -75,15 +75,16 @@ def _spread(fit: Fit, sets: Sequence[Measurements], data: Measurements, unit: st
         return spread(data.value[:, :2])
     if data.position is not None:
         return max(spread(data.position), ONE_PLACE * fit.model.robot.reach)
-    ends = [_points(fit, data.tools, end) for data in sets for end in data.ends]
+    ends = [_points(fit, own, end) for own in sets for end in own.ends]
     return max(spread(np.concatenate(ends)), ONE_PLACE * fit.model.robot.reach)
 
 
-def _points(fit: Fit, tools: Sequence[str], end: End) -> Array:
-    T = fit.robot.tips(end.readings, fit.deviations, end.conditions)
-    known = fit.measurements[0].tools
-    number = np.array([known.index(name) for name in tools], dtype=np.intp)
-    points = fit.machine.frames.tools[number[end.tool], :3, 3]
+def _points(fit: Fit, data: Measurements, end: End) -> Array:
+    """Return the tool points (n, 3) of one end of rows; of tools that the fit does not have, none."""
+    known = {name: k for k, name in enumerate(fit.measurements[0].tools)}
+    number = np.array([known.get(name, -1) for name in data.tools], dtype=np.intp)[end.tool]
+    T = fit.robot.with_tip(data.tip or fit.robot.tip).tips(end.readings, fit.deviations, end.conditions)[number >= 0]
+    points = fit.machine.frames.tools[number[number >= 0], :3, 3]
     return np.asarray(T[:, :3, 3] + (T[:, :3, :3] @ points[:, :, None])[:, :, 0])
 
 
