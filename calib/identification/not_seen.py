@@ -139,7 +139,8 @@ class AlongNullSpace:
             sigmas.append(sigma[rows] * np.sqrt(len(rows) / len(data)))
 
         def found(x: Array) -> Array:
-            all_of_them = residuals(self.problem.model.robot, sets, self.problem.machine(x))
+            machine = self.problem.machine(x)
+            all_of_them = residuals(self.problem.model.robot, sets, machine, self.problem.nominals)
             return np.concatenate([(r / sigma).ravel() for r, sigma in zip(all_of_them, sigmas, strict=True)])
 
         return found

@@ -225,7 +225,9 @@ class _Errors:
         # What a residual model leans on, which neighbours share: of every point, by its bytes, where its errors are.
         self._numbers: dict[bytes, int] = {}
         self._there = np.zeros((0, 3, known.factor.shape[1]))
-        self._measured = self._where_measured()
+        # Not itself, where it was measured here: what refers to itself stays until somebody looks for it, with all of a
+        # model's scratch memory.
+        self._elsewhere = self._measured_elsewhere()
 
     def at(self, readings: Array, conditions: Conditions) -> tuple[Array, Array]:
         """Return a factor (N, 6, r) of the covariance of the tool's pose, but for scatter, at readings (N, nr).
@@ -248,25 +250,25 @@ class _Errors:
             for c in range(used.shape[1]):
                 common += lean.weights[:, c, None, None] * self._there[number[:, c]]
             found[:, :3] -= seen.axes(model) @ common
-        if self._measured is self:
+        if self._elsewhere is None:
             found[:, :3] *= lean.unknown[:, None, None]
         elif (lean.unknown != 1.0).any():
             # What base and load of this set-up, or this tool, err by was not measured with the others.
-            there = self._measured.view.at(readings, conditions)
-            measured = np.swapaxes(there.axes(model), 1, 2) @ self._measured._of_kinematics(there)[0][:, :3]
+            there = self._elsewhere.view.at(readings, conditions)
+            measured = np.swapaxes(there.axes(model), 1, 2) @ self._elsewhere._of_kinematics(there)[0][:, :3]
             found[:, :3] -= seen.axes(model) @ (measured * (1.0 - lean.unknown)[:, None, None])
         return found, unseen
 
-    def _where_measured(self) -> "_Errors":
+    def _measured_elsewhere(self) -> "_Errors | None":
         """Return the errors where a residual model was measured, if it was in another set-up or with another tool."""
         machine, tool = self.view.machine, self.view.tool
         model = machine.residual_model
         if model is None:
-            return self
+            return None
         setup = machine.setup if machine.setup in model.setups else next(iter(model.setups), machine.setup)
         there = tool if tool in model.tools else next(iter(model.tools), tool)
         if (setup, there) == (machine.setup, tool) or setup not in machine.bases or there not in machine.tools:
-            return self
+            return None
         other = replace(machine.at(setup), residual_model=None)
         return _Errors(self.view.of(other, there), other.known_uncertainty)
 
@@ -283,10 +285,11 @@ class _Errors:
         at, own = np.unique(points, axis=0, return_inverse=True)
         names = [point.tobytes() for point in at]
         new = [k for k, name in enumerate(names) if name not in self._numbers]
+        measured = self._elsewhere or self
         for start in range(0, len(new), _BLOCK):
             rows = at[new[start : start + _BLOCK]]
-            seen = self._measured.view.at(rows, ordinary(rows))
-            errors = np.swapaxes(seen.axes(model), 1, 2) @ self._measured._of_kinematics(seen)[0][:, :3]
+            seen = measured.view.at(rows, ordinary(rows))
+            errors = np.swapaxes(seen.axes(model), 1, 2) @ measured._of_kinematics(seen)[0][:, :3]
             self._there = np.concatenate([self._there, errors])
         self._numbers.update(zip([names[k] for k in new], itertools.count(len(self._numbers)), strict=False))
         return np.array([self._numbers[name] for name in names], dtype=np.intp)[own.reshape(-1)]

@@ -22,7 +22,7 @@ from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism
-from calib.robot.kinematics import Frame, Kinematics, Mass, Regressor, Weighed
+from calib.robot.kinematics import Frame, Joints, Kinematics, Mass, Regressor, Weighed
 from calib.robot.loops import Closure, passive_joints
 from calib.robot.skeleton import Outline, Skeleton
 
@@ -135,12 +135,13 @@ class Holding:
         self._closure = Closure(s, m.loops, m.homes) if m.loops else None
         carried = sorted({joint for _, joint, _ in weights.units})
         self._frames = {joint: k for k, joint in enumerate(carried)}
-        self._kinematics = Kinematics(s.tree, [_frame(s, int(m.carrying[joint])) for joint in carried])
+        joints = Joints(s.tree.types, s.tree.parents)  # once: Pinocchio's memory grows with the cube of how many
+        self._kinematics = Kinematics(s.tree, [_frame(s, int(m.carrying[joint])) for joint in carried], joints)
         self._masses = Weighed(s.tree, _masses(s, weights))
         moved = [k for k, joint in enumerate(weights.hands) if joint >= 0]
         self._hands = np.array(moved, dtype=np.intp)
-        self._at_hands = Kinematics(s.tree, [s.end_frame(int(m.carrying[weights.hands[k]])) for k in moved])
-        self._links = Kinematics(s.tree, [_frame(s, int(m.carrying[joint])) for _, joint, _ in weights.own])
+        self._at_hands = Kinematics(s.tree, [s.end_frame(int(m.carrying[weights.hands[k]])) for k in moved], joints)
+        self._links = Kinematics(s.tree, [_frame(s, int(m.carrying[joint])) for _, joint, _ in weights.own], joints)
         self.units = {name: k for k, (name, _, _) in enumerate(weights.units)}
         self._kept: dict[tuple[object, ...], Array] = {}
 

@@ -30,28 +30,32 @@ class Flexures(NamedTuple):
     """The flexures that terms of links move: those of term t are ``every[k]`` for k in ``of_term[t]``."""
 
     every: tuple[Flexure, ...]
-    of_term: tuple[range, ...]
+    of_term: tuple[tuple[int, ...], ...]
 
 
 def flexures(terms: Sequence[JointTerm], joints: Sequence[str], segments: Sequence[Segment]) -> Flexures:
     """Return the flexures of a chain, whose ``joints`` are named as its ``segments`` are.
 
-    A link gives way in the order of the kinds, whatever the order of the terms. Raises RobotError for a link without a
-    length.
+    A link gives way in the order of the kinds, whatever the order of the terms. Terms of one kind that move it alike,
+    as a bearing under one mass and another, share a flexure: each is a joint, and memory grows with the cube of these.
+    Raises RobotError for a link without a length.
     """
     every: list[Flexure] = []
-    of_term = [range(0)] * len(terms)
+    of_term: list[tuple[int, ...]] = [()] * len(terms)
     of_links = [(t, term, kind) for t, term in enumerate(terms) if (kind := kind_of(term)).of_link]
     for kind in KINDS:
+        numbers: dict[tuple[object, ...], int] = {}
         for t, term, own in of_links:
             if own is kind:
-                start = len(every)
-                for i, name in enumerate(joints):
-                    if term.reading in (name, ""):
-                        every += kind.motions(segments, i, term)
-                if len(every) == start:
+                own_joints = [i for i, name in enumerate(joints) if term.reading in (name, "")]
+                moved = [flexure for i in own_joints for flexure in kind.motions(segments, i, term)]
+                if not moved:
                     raise RobotError(f"{term.name}: there is no link before {term.reading or 'any'!r}.")
-                of_term[t] = range(start, len(every))
+                told = [(one.joint, one.type, one.axis.tobytes(), one.link) for one in moved]
+                for what, one in zip(told, moved, strict=True):
+                    if numbers.setdefault(what, len(every)) == len(every):
+                        every.append(one)
+                of_term[t] = tuple(map(numbers.__getitem__, told))
     return Flexures(tuple(every), tuple(of_term))
 
 

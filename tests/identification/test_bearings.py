@@ -320,3 +320,11 @@ def test_what_nobody_can_mean_is_refused() -> None:
     ):
         with pytest.raises(JobError, match=re.escape(sentence)):
             machines.model(robot, **options)
+
+
+def test_a_bearing_is_one_joint_whatever_masses_tilt_it() -> None:
+    """Pinocchio's memory grows with the cube of how many joints there are: of six bearings, each with its masses."""
+    robot = calib.error_model(weightless(), terms={"lateral_moments": "all"}).robot
+    assert len(robot.terms) > 50
+    tilts = {(term.reading, term.kind) for term in robot.terms}
+    assert len(robot.flexures.every) == len(tilts) <= 12

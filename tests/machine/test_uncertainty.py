@@ -1,5 +1,6 @@
 """Doubts of a fit at the tool: exact derivatives, the null space, the file, and the identified range."""
 
+import gc
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from calib.foundations.chance import bound
 from calib.foundations.errors import MeasurementError, OutputError
 from calib.identification.parameters import scales
 from calib.identification.system import Problem
+from calib.machine import tool_uncertainty as tool_uncertainty_of
 from calib.machine.identified import outside_identified
 from calib.machine.model_file import model_json
 from calib.machine.of_fit import machine_of, measured_factor
@@ -110,6 +112,20 @@ def test_positions_say_nothing_of_orientations_and_poses_do() -> None:
     assert by_position.known[:, 0].all()
     assert not by_position.known[:, 1].any()
     assert by_pose.known.all()
+
+
+def test_what_was_asked_leaves_nothing_in_memory() -> None:
+    """What refers to itself waits for the collector, and holds models of tens of MB until then."""
+    fit, *_ = fitted(exact=True, offsets=["elbow_joint"], placements="none")
+    u, readings = machine_of(fit), np.full((1, 6), 0.3)
+    gc.collect()
+    gc.disable()
+    try:
+        tool_uncertainty(u, readings)
+        left = [one for one in gc.get_objects() if type(one).__module__ == tool_uncertainty_of.__name__]
+        assert not [one for one in left if type(one).__name__ in ("_Errors", "_View")]
+    finally:
+        gc.enable()
 
 
 def test_base_and_tool_can_be_left_out() -> None:
