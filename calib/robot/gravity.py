@@ -236,10 +236,20 @@ class Holding:
         of_each = [self._of_moments(frame, payloads[:, k], gravity, follow) for k, frame in enumerate(frames)]
         return np.asarray(np.sum(of_each, axis=0))
 
+    def closes(self, readings: Array) -> BoolArray:
+        """Return at which readings (N, nr) the loops close; what coordinates hold at others raises PoseError."""
+        if self._closure is None:
+            return np.ones(len(readings), dtype=bool)
+        return self._closure.closes(self._straight(readings))
+
+    def _straight(self, readings: Array) -> Array:
+        """Return joint positions (N, nj) with nothing that gives way, passive ones where their search starts."""
+        m = self._weights.mechanism
+        return np.asarray(readings @ m.coupling[:, : readings.shape[1]].T + m.coupling_offset)
+
     def _posed(self, readings: Array) -> tuple[Array, Array]:
         """Return joint positions (N, nj), and the rates (nj, c) or (N, nj, c) at which they follow the coordinates."""
-        m = self._weights.mechanism
-        q = readings @ m.coupling[:, : readings.shape[1]].T + m.coupling_offset
+        m, q = self._weights.mechanism, self._straight(readings)
         if self._closure is None:
             return q, m.coupling
         q = self._closure.close(q)

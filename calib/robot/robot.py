@@ -477,16 +477,28 @@ class TipModel:
 
     def closes(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> BoolArray:
         """Return at which readings (N, nr) the loops close; :meth:`joint_positions` raises PoseError at the others."""
-        if self._closure is None:
-            return np.ones(len(readings), dtype=bool)
-        return self._closure.closes(self._coupled(readings, conditions))
+        found = np.ones(len(readings), dtype=bool)
+        if self._closure is not None:
+            rows = self._weighable(readings)
+            found[~rows] = False
+            found[rows] = self._closure.closes(self._coupled(readings[rows], conditions.subset(rows)))
+        return found
 
     def determinants(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array | None:
         """Return the determinants of closure (N,) at readings (N, nr), as :meth:`Closure.determinants`.
 
         None where there is no loop; nan at readings where loops do not close.
         """
-        return None if self._closure is None else self._closure.determinants(self._coupled(readings, conditions))
+        if self._closure is None:
+            return None
+        found, rows = np.full(len(readings), np.nan), self._weighable(readings)
+        found[rows] = self._closure.determinants(self._coupled(readings[rows], conditions.subset(rows)))
+        return found
+
+    def _weighable(self, readings: Array) -> BoolArray:
+        """Return at which readings (N, nr) what terms ask for is known: where the nominal loops close that weigh."""
+        holding = self._nominal.holding
+        return np.ones(len(readings), dtype=bool) if holding is None else holding.closes(readings)
 
     def tips(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the tip placements (N, 4, 4) in the base link at readings (N, nr)."""

@@ -14,6 +14,7 @@ from calib.identification import system
 from calib.identification.machine import Frames
 from calib.identification.system import Problem
 from calib.measurement.touches import Touches
+from calib.robot.sampling import closing, joint_limits, random_readings
 from scripts.simulate import irb2400 as simulation
 from tests.support import machines
 
@@ -140,12 +141,28 @@ def test_a_pose_that_cannot_be_is_named_by_file_and_line() -> None:
         performance(robot.tips, [cone], None, np.zeros(3))
 
 
+def sought_from_zero(folder: Path) -> calib.Robot:
+    """The machine without a nominal coupling of the passive joints: far from zero their search finds no end."""
+    urdf = folder / "arm.urdf"
+    urdf.write_text(re.sub(r'(<joint name="(?:elbow|rod)" .*?)<mimic[^>]*>', r"\1", URDF.read_text(), flags=re.DOTALL))
+    return calib.load_robot(urdf, "tool0", loops=[LOOP])
+
+
+def test_where_loops_do_not_close_no_term_asks_for_what_is_held(tmp_path: Path) -> None:
+    """The workspace of a machine that gives way is that of its loops, and random poses are drawn there."""
+    robot = calib.error_model(sought_from_zero(tmp_path), terms={"moments": ["joint_2"]}).robot
+    soft = replace(robot.no_deviations(), terms=np.full(len(robot.terms), 1e-6))
+    q = np.random.default_rng(2).uniform(*joint_limits(robot).T, (400, 6))
+    nominal, closes = closing(robot, q), closing(robot, q, [soft])
+    assert 0.2 < np.mean(closes) < 1.0
+    assert np.mean(nominal == closes) > 0.99
+    assert closing(robot, random_readings(robot, 50, machines=[soft]), [soft]).all()
+    assert np.isfinite(robot.tips(q[closes], soft)).all()
+
+
 def test_a_mistake_that_would_open_the_loop_hides_no_other(tmp_path: Path) -> None:
     """What is tried - a reading's sign, its zero - may take poses that no parallelogram reaches; others go on."""
-    # Without a nominal coupling of the passive joints, where they are is sought from zero.
-    urdf = tmp_path / "arm.urdf"
-    urdf.write_text(re.sub(r'(<joint name="(?:elbow|rod)" .*?)<mimic[^>]*>', r"\1", URDF.read_text(), flags=re.DOTALL))
-    robot = calib.load_robot(urdf, "tool0", loops=[LOOP])
+    robot = sought_from_zero(tmp_path)
     # joint_3, which turns the crank, is read last: it is beside the way to the tip.
     q = np.radians(commands_deg(60, 3))[:, [0, 1, 3, 4, 5, 2]]
     T = robot.tips(q)
