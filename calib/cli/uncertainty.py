@@ -40,7 +40,7 @@ def uncertainty(
         from calib.presentation.sheets import budget_sheet
     refuse_taken(out)
     with telling.progress(steps=1) as say:
-        machine = load_machine(results).at(setup)
+        machine = load_machine(results).standing(setup, str(results))
         found = uncertainty_map(
             machine,
             samples,

@@ -134,6 +134,8 @@ def test_an_arm_from_two_places(folder: Path) -> None:
     assert (said.code, said.err) == (1, f"Error: {which}")
     assert not (folder / "cell.urdf").exists() and not (folder / "guessed.csv").exists()
     assert run("uncertainty", out, "--setup", "right", "--tool", "ball", "--samples", "20", "-q").code == 0
+    said = run("uncertainty", out, "--tool", "ball")
+    assert (said.code, said.err) == (1, f"Error: {which}")
     unknown = run("uncertainty", out, "--setup", "moon", "--tool", "ball")
     assert (unknown.code, unknown.err.count("\n")) == (1, 1)
     assert "there is no set-up 'moon'; the calibrated ones are 'left', 'right'" in unknown.err
