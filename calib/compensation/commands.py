@@ -174,6 +174,7 @@ def _start(model: CalibratedMachine, readings: Array) -> Array:
 def _conditions(model: CalibratedMachine, conditions: Conditions, rows: int) -> Conditions:
     """Return the conditions of the rows, of which joint terms of the machine lack nothing."""
     names = [reading.name for reading in model.robot.readings]
+    conditions.refuse_other_rows(rows, len(names))
     conditions = with_sides(conditions, rows, len(names))
     if missing := lacking(model.robot.terms, names, conditions):
         raise JobError(f"{missing[0]} of the machine needs {missing[1]!r} for every target.")

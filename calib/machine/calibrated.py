@@ -62,6 +62,12 @@ class CalibratedMachine:
         for name, link in self.tool_tips.items():
             if name not in self.tools or link not in self.robot.links:
                 raise RobotError(f"machine: the tool {name!r} on {link!r}: there is no such tool, or no such link.")
+        known = self.uncertainty
+        if known is not None and not len(known.factor) == len(known.null_basis) == self.layout.size:
+            raise RobotError(
+                f"machine: the uncertainty is of {len(known.factor)} numbers, and the machine has {self.layout.size}: "
+                "of a tool or a base that was added nothing is known; leave the uncertainty out."
+            )
 
     @checked
     def of(self, tool: str) -> "CalibratedMachine":

@@ -60,6 +60,13 @@ class Conditions:
         """Return what is known of the rows, by name."""
         return {name: values for name, values in zip(_NAMES, _every(self), strict=True) if values is not None}
 
+    def refuse_other_rows(self, rows: int, readings: int) -> None:
+        """Raise RobotError where these are not the conditions of so many rows, of so many readings each."""
+        for name, values in self.told().items():
+            needed = (rows, readings) if name in _OF_READINGS else (rows, *values.shape[1:])
+            if values.shape != needed:
+                raise RobotError(f"conditions: {name} has the shape {values.shape}; of these rows it is {needed}.")
+
     def in_time(self, times: Array) -> "Conditions":
         """Return the conditions of rows whose temperatures were told at times (N,) in s, for terms with memory.
 
@@ -80,6 +87,7 @@ class Conditions:
 NO_CONDITIONS = Conditions()
 _NAMES = tuple(field.name for field in fields(Conditions) if field.name != "ordered")
 _every = attrgetter(*_NAMES)
+_OF_READINGS = ("approach", "torque")
 # What rows have of which nobody says anything, beside others of which somebody does; of all else, nobody then does.
 _UNSAID = {"payload": np.nan, "gravity": np.nan, "motion": 0.0}
 

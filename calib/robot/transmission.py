@@ -122,10 +122,11 @@ class Transmission:
     def bases(self, readings: Array, conditions: Conditions) -> Bases:
         """Return the bases at readings (N, nr), in rad or m per unit of each coefficient.
 
-        Raises RobotError for a term that needs a condition which the rows do not have.
+        Raises RobotError for a term that needs a condition which the rows do not have, and for those of other rows.
         """
         if missing := lacking(self._shares.terms, self._shares.readings, conditions):
             raise RobotError(f"{missing[0]} needs {missing[1]!r} for every row.")
+        conditions.refuse_other_rows(*readings.shape)
         # Shares are made one by one, and used so.
         rows, adds = Rows(readings, conditions, self._holding), np.empty((len(self._shares.number), len(readings))).T
         for columns, (basis, _) in self._bases_of:

@@ -312,3 +312,18 @@ def test_a_temperature_beyond_those_that_were_measured_is_outside(folder: tuple[
         f"The temperature is outside the range it was identified in, {degrees.min():.4g} to {degrees.max():.4g} degC, "
         "in 1 of 3 rows; the farthest is 60 degC.",
     )
+
+
+@pytest.mark.parametrize("rows", [0, 4, 6])
+def test_conditions_of_other_rows_are_one_sentence(rows: int) -> None:
+    robot = calib.error_model(machines.load(*UR10), terms={"thermal": ["elbow_joint"], "backlash": "all"}).robot
+    drifting = replace(robot.no_deviations(), terms=np.full(len(robot.terms), 1e-5))
+    machine = calib.CalibratedMachine(robot, drifting, np.eye(4), {"tool": np.eye(4)})
+    readings = np.zeros((5, 6))
+    of_others = Conditions(approach=np.ones((rows, 6)), temperature=np.full(rows, 25.0))
+    said = rf"conditions: approach has the shape \({rows}, 6\); of these rows it is \(5, 6\)"
+    for asked in (machine.predict, machine.tool_jacobian):
+        with pytest.raises(RobotError, match=said):
+            asked(readings, conditions=of_others)
+    with pytest.raises(RobotError, match=said):
+        for_joint_targets(machine, readings, conditions=of_others)

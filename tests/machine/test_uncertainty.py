@@ -114,6 +114,14 @@ def test_positions_say_nothing_of_orientations_and_poses_do() -> None:
     assert by_pose.known.all()
 
 
+def test_a_tool_or_a_base_that_is_added_is_not_known() -> None:
+    machine = machine_of(fitted(exact=True, offsets=["elbow_joint"], placements="none")[0])
+    for more in ({"tools": {**machine.tools, "new": np.eye(4)}}, {"others": {"wall": np.eye(4)}}):
+        with pytest.raises(calib.RobotError, match="nothing is known; leave the uncertainty out"):
+            replace(machine, **more)
+        assert replace(machine, uncertainty=None, **more).uncertainty is None
+
+
 def test_what_was_asked_leaves_nothing_in_memory() -> None:
     """What refers to itself waits for the collector, and holds models of tens of MB until then."""
     fit, *_ = fitted(exact=True, offsets=["elbow_joint"], placements="none")
