@@ -4,11 +4,20 @@ import datetime
 import importlib
 import re
 import tomllib
+from collections.abc import Callable, Iterable, Iterator
+from typing import get_args
 
+import pytest
 import yaml
+from pydantic import BaseModel
 
 import calib
-from tests.support.cases import ROOT
+from calib.job.schema import BoardSection, Job
+from calib.machine import gaussian, grid
+from calib.machine.model_file import ModelFile
+from calib.machine.uncertainty_file import UncertaintyFile
+from calib.results.folder import result
+from tests.support.cases import CASE, ROOT, TABLE
 
 DIRECTIVE = re.compile(r"\.\. auto(?:function|class|exception|module):: ([\w.]+)")
 DESCRIBED = {
@@ -16,6 +25,7 @@ DESCRIBED = {
     for page in (ROOT / "docs" / "api").glob("*.md")
     for name in DIRECTIVE.findall(page.read_text(encoding="utf-8"))
 }
+KEY = re.compile(r"\w+")
 VERSION = re.compile(r"\d+\.\d+\.\d+(\.dev\d+|(a|b|rc)\d+)?")
 
 
@@ -35,6 +45,50 @@ def resolved(name: str) -> object:
     except ModuleNotFoundError:
         module, _, last = name.rpartition(".")
         return getattr(importlib.import_module(module), last)
+
+
+def keys_of(section: type[BaseModel]) -> Iterator[str]:
+    """The keys of a section of a file, and of the sections in it."""
+    for name, field in section.model_fields.items():
+        yield field.alias or name
+        for inner in sections_in(field.annotation):
+            yield from keys_of(inner)
+
+
+def sections_in(annotation: object) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from sections_in(part)
+
+
+def keys_of_result() -> list[str]:
+    robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+    data = calib.read_measurements(CASE / TABLE, robot, sigma=0.02e-3)
+    fit = calib.identify(calib.error_model(robot, offsets="all"), data)
+    return [*result(calib.assess(fit)), *fit.records()[0]]
+
+
+KEYS: dict[str, Callable[[], Iterable[str]]] = {
+    "a job": lambda: keys_of(Job),
+    "a board": lambda: keys_of(BoardSection),
+    "model.json": lambda: keys_of(ModelFile),
+    "uncertainty.json": lambda: keys_of(UncertaintyFile),
+    "result.json": keys_of_result,
+    "grid.npz": lambda: grid._KEYS,
+    "gaussian.npz": lambda: gaussian._KEYS,
+}
+
+
+@pytest.mark.parametrize("file", KEYS)
+def test_every_key_of_a_file_is_in_the_formats(file: str) -> None:
+    pages = ("formats.md", "cameras.md")
+    text = "\n".join((ROOT / "docs" / page).read_text(encoding="utf-8") for page in pages)
+    # In code font: the words of prose are not enough.
+    told = {
+        word for code in re.findall(r"`([^`]+)`|^    (.+)$", text, re.MULTILINE) for word in KEY.findall(" ".join(code))
+    }
+    assert {key for key in KEYS[file]() if key not in told} == set()
 
 
 def test_citation() -> None:
