@@ -116,8 +116,8 @@ class Calibration:
     ``findings``: what looks wrong in the data, but is usable. ``outliers``: of the data to identify from. ``in_urdf``:
     the metrics of the calibrated URDF alone, if it cannot hold the machine because of closed loops or joint terms.
     ``levels``, ``trace`` and ``choice``: the steps before the fit. ``origin``: from what it was made.
-    ``optics``, of a job: how many numbers lenses and boards have, and why. ``blame``, of a job: what lens, print, arm and
-    corners explain, where boards were seen.
+    Of a job with boards, ``optics``: how many numbers lenses and boards have, and why; ``blame``: what lens, print, arm
+    and corners explain.
     """
 
     fit: Fit
