@@ -214,10 +214,11 @@ def choose_terms(
 
     Once of poses at random, and once of neighbourhoods in joint space. Of more than 10 000 rows it looks at as many,
     the same ones every time. ``offered``: those to choose from, by default :func:`candidates` of the robot, for a DH
-    table but those of links. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`, whose errors this raises,
-    and MeasurementError when all rows are of one group. ``geometric``: the fit of ``model`` without terms to these
-    measurements with these options, where it is known already. Where poses are in a few places with nothing between
-    them, the widths of chosen terms are learned, unless a prior is stated.
+    table but those of links; where they are given, all harmonics at once are not offered beside. ``model_sigmas`` and
+    ``losses`` as in :func:`calib.identify`, whose errors this raises, and MeasurementError when all rows are of one
+    group. ``geometric``: the fit of ``model`` without terms to these measurements with these options, where it is known
+    already. Where poses are in a few places with nothing between them, the widths of chosen terms are learned, unless a
+    prior is stated.
     """
     sets = as_sets(measurements)
     rows = ChosenRows(sets, model_sigmas, losses)

@@ -37,16 +37,17 @@ Made by `python scripts/studies/ur10_residuals.py <ur10_leica folder> --markdown
 
 A UR10 measured with a Leica T-Mac ([ur10_leica_job.py](../scripts/examples/ur10_leica_job.py) says where the data are).
 Two thirds of the rows to identify, position errors (rms) of the last third; split 0 is that of the README. First
-geometry with harmonics 1 to 6 of every joint, or with the joint terms that the tool chooses of all that it offers,
-harmonics up to order {largest} among them ([joint_terms.md](joint_terms.md)); then the Gaussian process of what they
-leave (`residual_model = {{ kind = "gaussian_process" }}` of the last level), in the axes of the base, over all six
+geometry with harmonics 1 to 6 of every joint, or with joint terms that the tool chooses one by one of all candidates,
+harmonics up to order {largest} among them, but without its offer of all harmonics at once, taken on this arm, which
+leaves less ([joint_terms.md](joint_terms.md), [ur10_terms.md](ur10_terms.md)); then the Gaussian process of what is
+left (`residual_model = {{ kind = "gaussian_process" }}` of the last level), in the axes of the base, over all six
 joints.
 
 Many poses were visited twice, and a random split puts twins on both sides. The columns "new poses" count only the rows
 held out whose pose is in no row to identify from. The guard's columns are of the rows to identify from alone, by
 grouped cross-validation, twins on one side and length scales from rows of other folds; it lets the process enter where
 it is better by more than one standard error, and needs none of the rows held out here. Where it says no, the tool
-leaves the process out, and the figure without it is the tool's.
+leaves the process out.
 """
 
 
