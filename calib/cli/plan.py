@@ -39,7 +39,7 @@ def plan(
     acceptance: Annotated[str, option("--acceptance", "ANGLE", "Half the reflector's field of view.")] = _ACCEPTANCE,
     farthest: Annotated[str | None, option("--farthest", "LENGTH", "The tracker's range.")] = None,
     nearest: Annotated[str, option("--nearest", "LENGTH", "The tracker's shortest distance.")] = _NEAREST,
-    target: Annotated[str | None, option("--target", "LENGTH", "Say how many poses keep the error below it.")] = None,
+    target: Annotated[str | None, option("--target", "LENGTH", "Say how many poses until more remove less.")] = None,
     mesh_root: MeshRoots = None,
     collisions: Annotated[bool, typer.Option(help="Leave out poses where the arm touches itself.")] = True,
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of the random candidates.")] = 0,

@@ -54,10 +54,11 @@ def index_sheet(plan: "Plan") -> Sheet:
 
 
 def enough_sentence(planned: "Plan", target: str, *, more: bool) -> str:
-    """Return how many poses keep the error below a target, beside those measured already where there are ``more``."""
+    """Return how many poses keep what more would remove below a target, beside those measured already (``more``)."""
     if planned.enough is None:
-        return f"No number of these candidates keeps the error below {target}."
-    return f"{planned.enough}{' more' if more else ''} of the best poses keep the error below {target}."
+        return f"No number of these candidates keeps the error that more poses would remove below {target}."
+    many = f"{planned.enough}{' more' if more else ''} of the best poses keep"
+    return f"{many} the error that more poses would remove below {target}."
 
 
 def sensitivity_sheet(sensitivity: "Sensitivity") -> Sheet:
