@@ -363,7 +363,7 @@ def zero_offsets(paper: dict[str, Any]) -> list[Block]:
         Heading(2, "Joint zero offsets of a 6-joint articulated CMM"),
         f"""Ye Dong et al. Three points of known position are touched, and the six zero offsets follow from
         Gauss-Newton by total differential, ddelta = (G^T G)^-1 G^T dQ, until the largest position error is below
-        {paper["stop"]} mm. Here this is `calib.identification.total_differential`, and the machine is
+        {paper["stop"]} mm. Here this is `calib.judging.total_differential`, and the machine is
         `robots/arm_cmm/papers/zero_offsets.urdf`.""",
         Heading(3, "Touched points, and errors before calibration [mm]"),
         touched_sheet(found),
