@@ -7,6 +7,7 @@ import json
 import os
 import struct
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -148,6 +149,17 @@ def test_points_and_transforms_become_tables_too(recorded: Path) -> None:
     assert ball.titles == ("time [s]", "x [m]", "y [m]", "z [m]")
     np.testing.assert_allclose(numbers(ball)[2], [0.04, 0.4, 2.0, -3.0], atol=1e-9)
     np.testing.assert_allclose(numbers(flange)[2], [0.04, 0.4, 2.0, -3.0, 0.8, 0.0, 0.0, 0.6], atol=1e-9)
+
+
+def test_recordings_are_read_alike_in_several_threads(recorded: Path) -> None:
+    """While one is read, rosbags has other parts; these belong to the process, and stayed if another one was begun."""
+    from rosbags.rosbag2 import storage_mcap
+
+    before = dict(storage_mcap.DECOMPRESSORS)
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: read_topic(recorded, "/tracker").rows, range(12)))
+    assert found == [read_topic(recorded, "/tracker").rows] * 12
+    assert before == storage_mcap.DECOMPRESSORS
 
 
 def test_other_topics_and_damaged_files_are_refused(recorded: Path, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ recording is open: they stop at a size. A database is read for what it declares 
 
 import bz2
 import struct
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -39,6 +40,8 @@ STEPS_PER_BYTE, LEAST_STEPS, _STEPS_AT_ONCE = 100, 20_000_000, 100_000
 # Every row that ends before a column with a default has all of it.
 _LONGEST_DEFAULT = 100
 _PIECE = 1_000_000
+# What is replaced in rosbags belongs to the process: recordings are read one after another.
+_ALONE = threading.RLock()
 
 
 class Unpacker:
@@ -111,6 +114,12 @@ class Unpacker:
 @contextmanager
 def limited(where: Path, size: int) -> Iterator[None]:
     """Give rosbags these decompressors for as long as a recording of ``size`` bytes is read."""
+    with _ALONE, _replaced(where, size):
+        yield
+
+
+@contextmanager
+def _replaced(where: Path, size: int) -> Iterator[None]:
     import apsw  # noqa: PLC0415 - an extra
     from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415
     from rosbags.highlevel import anyreader  # noqa: PLC0415
