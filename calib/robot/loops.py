@@ -31,9 +31,9 @@ _LAST_STEP = 1e-9
 _NEGLIGIBLE = 1e-14
 # Passive joints that are found nearer than this, in rad or m, to where the search began, are on the branch meant.
 _NEAR = 0.5
-# The way from home to far readings: its first stretch, as a share, and the shortest; so many of all lengths, with so
-# many of Newton's steps each.
-_FIRST_STRETCH, _LEAST_STRETCH, _MOST_STRETCHES, _STEPS_OF_ONE = 0.5, 1.0 / 64.0, 100, 8
+# The way from home to far readings: its first stretch, as a share; the shortest, and that to rows which nothing closed
+# before, as most cannot be; so many of Newton's steps in one.
+_FIRST_STRETCH, _LEAST_STRETCH, _LEAST_OF_OPEN, _STEPS_OF_ONE = 0.5, 1.0 / 64.0, 1.0 / 8.0, 8
 # Smallest singular value of the closure, in m/rad or per unit: below it a pose is at a dead centre.
 _SINGULAR = 1e-6
 
@@ -127,9 +127,10 @@ class Closure:
         Where that is far from q, or nothing is found, they are sought anew on the way from home.
         """
         found, dead, open_ = self._from(q)
-        far = np.flatnonzero(dead | open_ | ~self._near(found, q))
+        far = np.flatnonzero(dead | open_ | (self._change(found, q) > _NEAR))
         if len(far) and self._home is not None:
-            reached, there = self._along(self._home, q[far])
+            least = np.where((dead | open_)[far], _LEAST_OF_OPEN, _LEAST_STRETCH)
+            reached, there = self._along(self._home, q[far], least)
             rows = far[there]
             found[rows], dead[rows], open_[rows] = reached[there], False, False
         return found, dead, open_
@@ -147,43 +148,39 @@ class Closure:
         """Return how far (N,) the passive joints of found (N, nj) are from those of q."""
         return np.asarray(np.max(np.abs((found - q)[:, self._passive]), axis=1, initial=0.0))
 
-    def _near(self, found: Array, q: Array) -> BoolArray:
-        return np.asarray(self._change(found, q) <= _NEAR)
-
-    def _along(self, home: tuple[Array, Array], q: Array) -> tuple[Array, BoolArray]:
+    def _along(self, home: tuple[Array, Array], q: Array, least: Array) -> tuple[Array, BoolArray]:
         """Return joint positions (N, nj) on the branch of home, and which rows (N,) are reached.
 
-        ``home``: joint positions (nj) as the coupling puts them, and closed.
+        ``home``: joint positions (nj) as the coupling puts them, and closed. ``least`` (N,): shortest stretches.
         """
         whole = q - home[0]
         at, gone, stretch = np.tile(home[1], (len(q), 1)), np.zeros(len(q)), np.full(len(q), _FIRST_STRETCH)
-        for _ in range(_MOST_STRETCHES):
-            going = np.flatnonzero((gone < 1.0) & (stretch >= _LEAST_STRETCH))
-            if not len(going):
-                break
+        while len(going := np.flatnonzero((gone < 1.0) & (stretch >= least))):
             ahead = np.minimum(1.0, gone[going] + stretch[going])
             start = home[0] + ahead[:, None] * whole[going]
             start[:, self._passive] = (at[going] + (ahead - gone[going])[:, None] * whole[going])[:, self._passive]
-            found, dead, open_ = self._from(start, _STEPS_OF_ONE)
-            good = ~dead & ~open_ & self._near(found, start)
-            on = going[good]
-            at[on], gone[on] = found[good], ahead[good]
-            stretch[on] *= 2.0
+            found, dead, open_ = self._from(start, _STEPS_OF_ONE, _NEAR)
+            good = ~(dead | open_)
+            at[going[good]], gone[going[good]] = found[good], ahead[good]
             stretch[going[~good]] /= 2.0
         return at, gone >= 1.0
 
-    def _from(self, q: Array, most: int = _MOST_STEPS) -> tuple[Array, BoolArray, BoolArray]:
-        """Return what :meth:`_sought` does, with Newton's steps from q (N, nj) alone, ``most`` of them.
+    def _from(self, q: Array, most: int = _MOST_STEPS, farthest: float = np.inf) -> tuple[Array, BoolArray, BoolArray]:
+        """Return what :meth:`_sought` does, with ``most`` of Newton's steps from q (N, nj) alone.
+
+        What they lead ``farthest`` from q, or farther, counts as open.
 
         A row that has come to its end is left alone: few need as many steps as the last one.
         """
         found, dead, open_ = q.copy(), np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
-        left, q, still = np.arange(len(q)), q.copy(), self._still(q)
+        begun, left, q, still = q, np.arange(len(q)), q.copy(), self._still(q)
         for _ in range(most):
             stuck, step = self._step(q, still)
             dead[left[stuck]] = True
             q[:, self._passive] -= step
-            going = ~stuck & (np.max(np.abs(step), axis=1, initial=0.0) >= _LAST_STEP)
+            strayed = self._change(q, begun[left]) >= farthest
+            open_[left[strayed]] = True
+            going = ~(stuck | strayed) & (np.max(np.abs(step), axis=1, initial=0.0) >= _LAST_STEP)
             if not going.all():
                 found[left[~going]] = q[~going]
                 left, q, still = left[going], q[going], _rows_of(still, going)

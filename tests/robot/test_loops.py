@@ -17,7 +17,7 @@ from calib.machine.model_file import model_json
 from calib.machine.of_fit import machine_of
 from calib.machine.urdf import calibrated_urdf
 from calib.robot.load import load_robot, with_document
-from calib.robot.loops import at_dead_centre
+from calib.robot.loops import Closure, at_dead_centre
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot, TipModel
 from calib.robot.sampling import closing, least_determinant, random_readings
 from calib.robot.urdf import parse_urdf
@@ -650,3 +650,19 @@ def test_a_five_bar_stays_as_it_was_assembled_far_from_where_it_is_drawn() -> No
     across = np.stack([-half[:, 1], half[:, 0]], axis=1) / np.linalg.norm(half, axis=1)[:, None]
     up = A + half + np.sqrt(0.4**2 - np.sum(half**2, axis=1))[:, None] * across
     np.testing.assert_allclose(robot.tips(readings)[:, [0, 2], 3], up, atol=1e-12)
+
+
+def test_readings_that_cannot_be_closed_are_given_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those that a search for commands tries far beyond all limits: the way there is not walked in small steps."""
+    robot, _ = machine("five-bar")
+    model, looks = TipModel(robot), [0]
+    gaps = Closure._gaps
+
+    def counted(self: Closure, q: Array, starts: object) -> tuple[Array, Array]:
+        looks[0] += len(q)
+        return gaps(self, q, starts)
+
+    monkeypatch.setattr(Closure, "_gaps", counted)
+    readings = np.stack([np.linspace(2.9, 3.3, 9), np.linspace(0.2, -0.2, 9)], axis=1)
+    assert not model.closes(readings).any()
+    assert looks[0] <= 80 * len(readings)
