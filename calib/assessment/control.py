@@ -34,8 +34,9 @@ def doubt(residue: Residue) -> str:
         )
     if twice := names_of_mirrored(residue.fit, "tool"):
         return (
-            f"Lengths put the {noun(len(twice), 'tool')} {listed(twice)} at two places alike, and nothing tells which "
-            "is right. Measure more lengths, at other orientations of the tip, or state the tool."
+            f"The rows put the {noun(len(twice), 'tool')} {listed(twice)} at two places alike, and nothing tells which "
+            "is right. Measure more lengths, at other orientations of the tip, or take more photographs, from nearer "
+            "or from another side; or state the tool."
         )
     if turned := names_of_mirrored(residue.fit, "base"):
         return (

@@ -63,8 +63,7 @@ def mirrored(problem: Problem, at: Machine, sigmas: Sequence[Array]) -> BoolArra
         twice = set[int]()
         if rows and kind != "base":
             twice |= _by_lengths(rows, kind, asked - _told_otherwise(problem, kind))
-        if kind != "tool":
-            twice |= {k for k, seen in photographed(problem, at, sigmas, kind, asked) if _turned_alike(seen)}
+        twice |= {k for k, seen in photographed(problem, at, sigmas, kind, asked) if _turned_alike(seen)}
         found[[k for k, number in free.items() if number in twice]] = True
     return found
 
@@ -129,7 +128,7 @@ def _at_two_places(here: Array, ends: Array, residual: Array, sigma: Array) -> b
 
 
 def _turned_alike(target: Photographed) -> bool:
-    """Return whether a board, or a camera, explains its photographs as well turned the other way."""
+    """Return whether a frame explains its photographs as well turned the other way."""
     there = _least(target.look, target.there, _twisted)
     apart = rigid.inverse(target.here) @ there
     return _explains_as_well(target.look, target.here, there, np.append(apart[:3, 3], rigid.log3(apart[:3, :3])))

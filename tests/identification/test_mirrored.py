@@ -10,6 +10,7 @@ import calib
 from calib.assessment.control import names_of_mirrored
 from calib.identification.fit import Fit
 from calib.identification.mirrored import _at_two_places
+from calib.identification.set_ups import SetUp
 from calib.identification.targets import Target
 from tests.support import cameras, machines
 from tests.support.machines import Array
@@ -131,3 +132,61 @@ def test_a_set_up_that_one_photograph_of_a_small_board_tells_is_not_trusted(size
     found = calib.assess(fit)
     assert any("show the board alike if tilted" in doubt for doubt in found.doubts) == mirrored
     assert found.trusted != mirrored
+
+
+def _twice(camera_on: str, size: float) -> tuple[cameras.Scene, cameras.Scene, Array, Array]:
+    """Return a scene and its readings (20, 6), and one of a small board, tilted, and one reading (1, 6) there."""
+    rng = np.random.default_rng(0)
+    arm = machines.arm(*UR5)
+    near = cameras.scene(rng, arm, camera_on, sigma=0.1)
+    tilted = Rotation.from_rotvec((np.pi, 0.0, 0.0)) * Rotation.from_rotvec((0.4, 0.57, 0.0))
+    board, once = machines.pose((0.05, -0.1, 1.5), tilted.as_rotvec()), arm.draw(rng, 1)
+    there = near.base @ arm.tips(once)[0] @ near.tool @ (board if camera_on == "tip" else np.linalg.inv(board))
+    return near, replace(near, target=there, places=near.places * size / 0.12), near.draw(rng, 20), once
+
+
+@pytest.mark.parametrize("camera_on", ["tip", "floor"])
+def test_photographs_of_a_board_in_several_tables_are_of_one_board(camera_on: str) -> None:
+    """In tables of their own they were taken for what tells more: a board 73 degrees off was told to half of one."""
+    rng, robot = np.random.default_rng(1), machines.load(*UR5)
+    near, small, readings, once = _twice(camera_on, 0.02)
+    tables = [(near, readings, "A"), (small, once, "B"), (small, once + 1e-5, "B")]
+    columns = [some.columns(q, rng, 0.1) | {"target": [name] * 20 * len(q)} for some, q, name in tables]
+    sets = [calib.read_measurements(some, robot, "pixels", instrument=near.camera) for some in columns]
+    fit = calib.identify(calib.error_model(robot, tool="pose", base="fixed"), sets)
+    assert names_of_mirrored(fit, "frame") == ("B",)
+
+
+@pytest.mark.parametrize("camera_on", ["tip", "floor"])
+@pytest.mark.parametrize(("size", "mirrored"), [(0.03, ("other",)), (0.2, ())])
+def test_a_tool_that_one_photograph_of_a_small_board_tells_is_not_trusted(
+    camera_on: str, size: float, mirrored: tuple[str, ...]
+) -> None:
+    """A second camera on the tip was 72 degrees off, and trusted."""
+    rng, robot = np.random.default_rng(1), machines.load(*UR5)
+    near, small, readings, once = _twice(camera_on, size)
+    tip = near.base @ near.arm.tips(once)[0]
+    seen = np.linalg.inv(tip @ near.tool) @ small.target
+    other = replace(small, tool=np.linalg.inv(tip) @ near.target @ np.linalg.inv(seen), target=near.target)
+    tables = [(near, readings, "tool"), (other, once, "other")]
+    columns = [some.columns(q, rng, 0.1) | {"tool": [name] * 20 * len(q)} for some, q, name in tables]
+    sets = [calib.read_measurements(some, robot, "pixels", instrument=near.camera) for some in columns]
+    fit = calib.identify(calib.error_model(robot, tool="pose", base="fixed"), sets)
+    assert names_of_mirrored(fit, "tool") == mirrored
+    assert names_of_mirrored(fit, "frame") == ()
+    assert any("two places" in doubt for doubt in calib.assess(fit).doubts) == bool(mirrored)
+
+
+@pytest.mark.parametrize(("angle", "mirrored"), [(0.01, ()), (1.0, ("far",))])
+def test_where_a_set_up_was_stated_to_be_tells_to_which_side(angle: float, mirrored: tuple[str, ...]) -> None:
+    rng, robot = np.random.default_rng(1), machines.load(*UR5)
+    near, small, readings, once = _twice("tip", 0.03)
+    far = replace(small, base=near.target @ np.linalg.inv(small.target) @ near.base, target=near.target)
+    sets = [
+        some.measure(robot, q, rng, 0.1).named(setup=name)
+        for some, q, name in ((near, readings, "near"), (far, once, "far"))
+    ]
+    stated = far.base @ machines.pose((5e-3, 0.0, 0.0), (0.0, 5e-3, 0.0))
+    known = calib.Known(setups={"near": SetUp(near.base), "far": SetUp(stated, angle, angle)})
+    fit = calib.identify(calib.error_model(robot, tool="pose", known=known), sets)
+    assert names_of_mirrored(fit, "base") == mirrored
