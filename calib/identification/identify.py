@@ -387,8 +387,14 @@ def _minimal(
 
     ``told``: the set and the directions at the start. What shows only in products of parameters that are zero there is
     determined as well, if the fit is clearly worse without it; returned are the set and the directions that hold then.
+    Raises IdentificationError where the set is empty.
     """
     kept, directions = told
+    if not kept:
+        raise IdentificationError(
+            'the data determine nothing of what is free, and null_space = "minimal" would hold all of it: '
+            "measure other poses, or free something that moves what is measured."
+        )
     smaller, less = _solved_for(problem, kept, variances)
     if _clearly_worse(smaller, less, problem, found.x):
         kept, directions = identifiability.told(

@@ -26,10 +26,10 @@ class Looked(NamedTuple):
     @property
     def sentence(self) -> str:
         """How much of the parameters the poses determine."""
+        condition = f" (condition number {self.seen.condition:.3g})" if self.seen.rank else ""
         return (
             f"{counted(self.seen.numbers, 'number determines', 'numbers determine')} "
-            f"{counted(self.seen.rank, 'combination')} of {counted(len(self.seen.parameters), 'parameter')} "
-            f"(condition number {self.seen.condition:.3g})."
+            f"{counted(self.seen.rank, 'combination')} of {counted(len(self.seen.parameters), 'parameter')}{condition}."
         )
 
     def contents(self) -> dict[str, Any]:

@@ -9,6 +9,8 @@ from dataclasses import replace
 from glob import escape
 from pathlib import Path
 
+import numpy as np
+
 from calib.foundations.arguments import checked
 from calib.foundations.errors import OutputError
 from calib.foundations.files import read_bytes, write_atomically
@@ -42,9 +44,9 @@ def machine_in_urdf(fit: Fit, whole: CalibratedMachine) -> CalibratedMachine:
 def fit_in_urdf(fit: Fit, tables: Sequence[Measurements] | None = None) -> Fit | None:
     """Return the fit of what a URDF holds, by rows of ``tables`` or those of ``fit``; None where that is ``fit``.
 
-    Free is what ``fit`` has moved, with base and tools. Joints that closed loops have placed follow their ``<mimic>``,
-    with an offset each; where a reader of the URDF would take other readings, loops and couplings stay. Raises what
-    :func:`calib.identify` raises.
+    Free is what ``fit`` has moved, with base and tools; where that is nothing, it is the nominal arm. Joints that
+    closed loops have placed follow their ``<mimic>``, with an offset each; where a reader of the URDF would take other
+    readings, loops and couplings stay. Raises what :func:`calib.identify` raises.
     """
     robot = fit.robot
     looped = bool(robot.loops or robot.couplings)
@@ -52,23 +54,29 @@ def fit_in_urdf(fit: Fit, tables: Sequence[Measurements] | None = None) -> Fit |
     if plain is None and not robot.terms:
         return None
     own = fit.measurements if tables is None else tuple(tables)
-    model = with_terms(fit.model, ()) if plain is None else _moved_to(fit.model, plain)
+    model = (with_terms(fit.model, ()) if plain is None else _moved_to(fit.model, plain)).within(own)
+    problem = initial_problem(model, own)
     moved = _moved(fit)
     placed = {f"{robot.chain[robot.moving[j]].name}.offset" for j in robot.passive} if plain is not None else set()
     free = [
         parameter.name
-        for parameter in initial_problem(model.within(own), own).parameters
+        for parameter in problem.parameters
         if not parameter.of_robot or parameter.name in moved or parameter.name in placed
     ]
+    targets, setups = fit.model.targets, fit.model.setups
+    if not free:  # joint terms alone, of an arm whose base and tool are known: nothing of it has a place in a URDF
+        machine = replace(problem, parameters=()).machine(np.empty(0))
+        model = replace(model, targets=targets, setups=setups)
+        return replace(fit, model=model, measurements=problem.measurements, machine=machine, nominal=machine)
     losses = {data.where: loss for data, loss in zip(fit.measurements, fit.losses, strict=True)}
     found = identify(
-        model.within(own),
+        model,
         own,
         free=[escape(name) for name in free],
         null_space="nearest" if fit.policy == "refuse" else fit.policy,
         losses=[losses.get(data.where, "linear") for data in own],
     )
-    return replace(found, model=replace(found.model, targets=fit.model.targets, setups=fit.model.setups))
+    return replace(found, model=replace(found.model, targets=targets, setups=setups))
 
 
 @checked

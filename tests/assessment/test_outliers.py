@@ -12,6 +12,7 @@ from calib.assessment.influence import Residue, SquaresOfSet
 from calib.assessment.outliers import LEVEL
 from calib.identification import elimination
 from calib.identification.relations import Relation
+from calib.presentation.report.outlying import outlier_section
 from scripts.simulate import panda_sockets as simulation
 from tests.support import machines
 
@@ -161,6 +162,23 @@ def test_a_group_on_another_base_disagrees(robot: calib.Robot, model: calib.Erro
         # Base, tool and seven zeros, less two: the first joint turns the base, the last one the tool.
         assert group.freedom == 14
         assert 20 < group.differs_gain <= group.gain + 1e-6
+
+
+def test_a_group_without_which_nothing_is_left_is_told_without_a_number(
+    robot: calib.Robot, model: calib.ErrorModel
+) -> None:
+    """As a table of 24 rows beside a plane of 12: the plane alone has no degrees of freedom."""
+    data = positions(robot, np.random.default_rng(5))
+    second = np.array([word == "second" for word in data.group or ()])
+    shifted = np.array(data.position) + np.where(second[:, None], (3e-4, 0.0, 0.0), 0.0)
+    found = calib.judging.outliers(calib.identify(model, replace(data, position=shifted)))
+    assert found.disagreeing
+    told = str(outlier_section(found))
+    assert "times as much" in told
+    groups = tuple(replace(group, scatter=float("nan")) for group in found.groups)
+    told = str(outlier_section(replace(found, groups=groups)))
+    assert "nan" not in told
+    assert "too few to say" in told
 
 
 def test_a_groups_gain_is_that_of_machines_of_its_own(robot: calib.Robot) -> None:

@@ -261,3 +261,14 @@ def test_what_has_a_wide_prior_imitates_by_millimetres_all_the_same(robot: calib
     ):
         (told,) = null_directions(basis, wide, [k for k in range(len(wide)) if k != number[own]])
         assert str(told) == says
+
+
+def test_a_minimal_set_of_nothing_is_refused_in_a_sentence(robot: calib.Robot) -> None:
+    """The tool stands on the only axis whose zero is free, and base and tool are known."""
+    rng = np.random.default_rng(6)
+    true = Machine(machines.arm(*UR10), np.eye(4), {"tool": np.eye(4)})
+    data = true.measure(robot, true.arm.draw(rng, 12), rng=rng, sigma=SIGMA)
+    model = calib.error_model(robot, offsets=["wrist_3_joint"], base="fixed", tool="fixed")
+    assert calib.identify(model, data).numerical_rank == 0
+    with pytest.raises(IdentificationError, match="determine nothing of what is free"):
+        calib.identify(model, data, null_space="minimal")

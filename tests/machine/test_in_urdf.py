@@ -219,3 +219,52 @@ def test_a_model_file_with_a_geometry_of_other_joints_is_refused(out: Path, tmp_
     (tmp_path / "model.json").write_text(json.dumps(contents))
     with pytest.raises(OutputError, match=r"model\.json: its joints are not those of nominal\.urdf"):
         calib.load_machine(tmp_path)
+
+
+PENDULUM = """<robot name="two"><link name="l0"/><link name="l1"/><link name="l2"/>
+<joint name="one" type="continuous"><parent link="l0"/><child link="l1"/><axis xyz="0 0 1"/></joint>
+<joint name="two" type="continuous"><parent link="l1"/><child link="l2"/><origin xyz="0.5 0 0"/>
+<axis xyz="0 0 1"/></joint></robot>"""
+WAVES = """schema = 1
+[robot]
+urdf = "two.urdf"
+[error_model]
+harmonics = "all"
+base = "fixed"
+tool = "fixed"
+[tools.tool]
+position = ["0.3 m", "0 m", "0 m"]
+[[measurements]]
+file = "rows.csv"
+sigma = "0.01 mm"
+[[measurements]]
+file = "rest.csv"
+sigma = "0.01 mm"
+use = "validate"
+"""
+
+
+@pytest.mark.parametrize("policy", ["nearest", "minimal"])
+def test_of_joint_terms_alone_the_urdf_stays_the_nominal_one(tmp_path: Path, policy: str) -> None:
+    """Of an arm whose base and tool are known: nothing of what is found has a place in a URDF."""
+    rng = np.random.default_rng(4)
+    for name in ("rows.csv", "rest.csv"):
+        q = rng.uniform(-2.0, 2.0, size=(30, 2))
+        first = q[:, 0] + 1e-3 * np.cos(q[:, 0])
+        both = first + q[:, 1] - 5e-4 * np.sin(q[:, 1])
+        x, y = (0.5 * f(first) + 0.3 * f(both) + rng.normal(scale=1e-5, size=30) for f in (np.cos, np.sin))
+        table = np.column_stack([q, x, y, rng.normal(scale=1e-5, size=30)])
+        np.savetxt(tmp_path / name, table, delimiter=",", header="one [rad],two [rad],x [m],y [m],z [m]", comments="")
+    (tmp_path / "two.urdf").write_text(PENDULUM, encoding="utf-8")
+    text = WAVES.replace('tool = "fixed"', f'tool = "fixed"\nnull_space = "{policy}"')
+    (tmp_path / "job.toml").write_text(text, encoding="utf-8")
+    found = calib.calibrate(tmp_path / "job.toml", tmp_path / "out")
+    assert found.trusted
+    assert (tmp_path / "out" / "calibrated.urdf").read_text(encoding="utf-8") == PENDULUM
+    machine = calib.load_machine(tmp_path / "out")
+    assert machine.in_urdf is not None
+    assert not machine.in_urdf.robot.terms
+    own, alone = found.metrics["validation"], found.in_urdf
+    assert alone is not None
+    assert alone.metrics["validation"]["position"].rms == pytest.approx(own["before"]["position"].rms)
+    assert own["after"]["position"].rms < 0.1 * own["before"]["position"].rms

@@ -1,5 +1,7 @@
 """The part of a report on rows, targets and groups that do not go with the rest."""
 
+from math import isfinite
+
 from calib.assessment.outliers import Outliers
 from calib.foundations.words import counted
 from calib.presentation.report.document import Block, Prose, Section, Sheet
@@ -61,11 +63,15 @@ def _moved(found: Outliers) -> tuple[str, ...]:
 def _disagreeing(found: Outliers) -> tuple[str, ...]:
     sentences = []
     for group in found.disagreeing[:_MOST_GROUPS]:
+        others = (
+            f"Without it the others scatter {group.scatter:.2f} times as much."
+            if isfinite(group.scatter)
+            else "Without it the others are too few to say how they scatter."
+        )
         best = f", {group.differs_gain:.0f} of it by {group.differs} alone" if group.differs else ""
         sentences.append(
             f"The {group.kind} {group.name} disagrees with the rest and would fit better with other parameters: "
-            f"chi-squared {group.gain:.0f}, degrees of freedom {group.freedom}{best}. Without it the others scatter "
-            f"{group.scatter:.2f} times as much."
+            f"chi-squared {group.gain:.0f}, degrees of freedom {group.freedom}{best}. {others}"
         )
     more = len(found.disagreeing) - _MOST_GROUPS
     return (*sentences, *([f"{counted(more, 'group')} more disagree."] if more > 0 else []))
