@@ -155,12 +155,15 @@ class Closure:
         """
         whole = q - home[0]
         at, gone, stretch = np.tile(home[1], (len(q), 1)), np.zeros(len(q)), np.full(len(q), _FIRST_STRETCH)
+        side = np.sign(self._turning(home[1][None]))
         while len(going := np.flatnonzero((gone < 1.0) & (stretch >= least))):
             ahead = np.minimum(1.0, gone[going] + stretch[going])
             start = home[0] + ahead[:, None] * whole[going]
             start[:, self._passive] = (at[going] + (ahead - gone[going])[:, None] * whole[going])[:, self._passive]
             found, dead, open_ = self._from(start, _STEPS_OF_ONE, _NEAR)
             good = ~(dead | open_)
+            # Branches meet at dead centres: near one, both are near where the search began.
+            good[good] = np.sign(self._turning(found[good])) == side
             at[going[good]], gone[going[good]] = found[good], ahead[good]
             stretch[going[~good]] /= 2.0
         return at, gone >= 1.0
@@ -197,8 +200,12 @@ class Closure:
         """
         q, dead, open_ = self._sought(q)
         found, closed = np.full(len(q), np.nan), ~(dead | open_)
-        found[closed] = np.linalg.det(self._gaps(q[closed], self._still(q[closed]))[1])
+        found[closed] = self._turning(q[closed])
         return found
+
+    def _turning(self, q: Array) -> Array:
+        """Return the determinants (N,) of the closure by the passive joints, at closed positions q (N, nj)."""
+        return np.asarray(np.linalg.det(self._gaps(q, self._still(q))[1]))
 
     def _still(self, q: Array) -> list[list[_Frames]]:
         """Return, for both sides of every ring, the frames (N) behind the joints before the first passive one."""

@@ -666,3 +666,26 @@ def test_readings_that_cannot_be_closed_are_given_up_soon(monkeypatch: pytest.Mo
     readings = np.stack([np.linspace(2.9, 3.3, 9), np.linspace(0.2, -0.2, 9)], axis=1)
     assert not model.closes(readings).any()
     assert looks[0] <= 80 * len(readings)
+
+
+def test_a_five_bar_is_not_closed_the_other_way_near_a_dead_centre() -> None:
+    """Both ways are near each other where the distal links are nearly in line."""
+    text = tree(
+        ("base", "left", "revolute", "0.2 0 0", "0 0 1"),
+        ("left", "left_distal", "revolute", "0.25 0 0", "0 0 1"),
+        ("left_distal", "tip", "fixed", "0.4 0 0", "0 0 0"),
+        ("base", "right", "revolute", "-0.1 0 0", "0 0 1"),
+        ("right", "right_distal", "revolute", "0.25 0 0", "0 0 1"),
+        ("right_distal", "right_end", "fixed", "0.4 0 0", "0 0 0"),
+    )
+    drawn = (Coupling("left_distal", {"left": -1.0}, 2.452), Coupling("right_distal", {"right": -1.0}, 0.689))
+    loop = ClosedLoop("five", ("tip", "right_end"), ("x", "y"), ("left_distal", "right_distal"))
+    robot = load(text, "tip", loop, couplings=drawn)
+    readings = np.array([(0.21, 3.33), (-0.19, 3.19), (0.0, 3.39), (0.28, 3.52), (0.14, 3.42), (-0.28, 3.1)])
+    left, right = readings.T
+    A = np.stack([0.2 + 0.25 * np.cos(left), 0.25 * np.sin(left)], axis=1)
+    B = np.stack([-0.1 + 0.25 * np.cos(right), 0.25 * np.sin(right)], axis=1)
+    half = 0.5 * (B - A)
+    across = np.stack([half[:, 1], -half[:, 0]], axis=1) / np.linalg.norm(half, axis=1)[:, None]
+    up = A + half + np.sqrt(0.4**2 - np.sum(half**2, axis=1))[:, None] * across
+    np.testing.assert_allclose(robot.tips(readings)[:, :2, 3], up, atol=1e-9)
