@@ -10,9 +10,12 @@ import calib
 from calib.assessment.control import names_of_mirrored
 from calib.identification.fit import Fit
 from calib.identification.mirrored import _at_two_places
+from calib.identification.mirrored_boards import Photographed, photographed
+from calib.identification.parameters import ParameterKind
 from calib.identification.set_ups import SetUp
+from calib.identification.system import Problem
 from calib.identification.targets import Target
-from tests.support import cameras, machines
+from tests.support import cameras, jacobians, machines
 from tests.support.machines import Array
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
@@ -190,3 +193,29 @@ def test_where_a_set_up_was_stated_to_be_tells_to_which_side(angle: float, mirro
     known = calib.Known(setups={"near": SetUp(near.base), "far": SetUp(stated, angle, angle)})
     fit = calib.identify(calib.error_model(robot, tool="pose", known=known), sets)
     assert names_of_mirrored(fit, "base") == mirrored
+
+
+@pytest.mark.parametrize("kind", ["base", "tool", "target"])
+@pytest.mark.parametrize("camera_on", ["tip", "floor"])
+def test_derivatives_of_what_photographs_show_of_a_frame(kind: ParameterKind, camera_on: str) -> None:
+    """At its place and far from it; with a base that was stated to be somewhere."""
+    rng, robot = np.random.default_rng(3), machines.load(*UR5)
+    near, small, readings, once = _twice(camera_on, 0.1)
+    few = readings[:8]
+    seen = [near.columns(few, rng) | {"target": ["A"] * 160}, small.columns(once, rng) | {"target": ["B"] * 20}]
+    sets = [calib.read_measurements(some, robot, "pixels", instrument=near.camera) for some in seen]
+    named = [sets[0].named(setup="near"), sets[1].named(setup="far")]
+    known = calib.Known(setups={"near": SetUp(near.base), "far": SetUp(small.base, 0.01, 0.02)})
+    fit = calib.identify(calib.error_model(robot, tool="pose", known=known), named)
+    problem = Problem(fit.model, (), fit.machine.frames, fit.measurements)
+    sigmas = [np.full(data.sigma.shape, 0.1) for data in fit.measurements]
+    asked = {"base": {1}, "tool": {0}, "target": {1}}[kind]
+    found = dict(photographed(problem, fit.machine, sigmas, kind, asked))
+    assert set(found) == asked
+    for frame in found.values():
+        for pose in (frame.here, frame.here @ machines.pose((0.01, -0.02, 0.03), (0.1, -0.2, 0.15))):
+
+            def off(twist: Array, frame: Photographed = frame, pose: Array = pose) -> Array:
+                return frame.look(pose @ machines.pose(twist[:3], twist[3:]))[0]
+
+            jacobians.compare(frame.look(pose)[1], off, np.zeros(6), ["x", "y", "z", "rx", "ry", "rz"], 1e-6, 1e-5)
