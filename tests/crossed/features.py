@@ -492,7 +492,7 @@ EXEMPT: Mapping[str, str] = {
     },
     **{
         f"instruments.{key}": "an arm that touches; its backlash and its grid: tests/job/test_arm.py"
-        for key in ("model", "tool", "pivot")
+        for key in ("model", "setup", "tool", "pivot")
     },
     **dict.fromkeys(
         (
