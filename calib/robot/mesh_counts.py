@@ -15,7 +15,10 @@ from calib.foundations.xml_text import Element, read_xml
 MOST_CORNERS = 600_000
 MOST_PARTS = 1000
 _HEADER = 12
-_WORDS_BEFORE_A_PART = {".obj": (b"\no ", b"\ng ", b"\nusemtl "), ".stl": (b"solid",)}
+# A material is looked for within lines as well.
+_WORDS_BEFORE_A_PART = {".obj": (b"\no ", b"\ng ", b"usemtl "), ".stl": (b"solid",)}
+# Properties of a PLY that are looked at as long as one part is made.
+_LOOKS_OF_A_PART = 100
 
 
 class Counts(NamedTuple):
@@ -38,6 +41,11 @@ def counts(data: bytes, suffix: str) -> Counts:
         return _of_glb(data)
     if suffix == ".dae":
         return _of_collada(data)
+    if suffix == ".ply":
+        # Before each list all properties are looked at again.
+        return Counts(0, data.count(b"list") * data.count(b"property") // _LOOKS_OF_A_PART)
+    if suffix == ".obj":
+        data = data.replace(b"\r\n", b"\n").replace(b"\\\n", b"")
     words = _WORDS_BEFORE_A_PART.get(suffix, ())
     return Counts(0, sum(map((data.lower() if words else data).count, words)))
 
@@ -57,7 +65,10 @@ def _of_glb(data: bytes) -> Counts:
     shown = [meshes[node["mesh"]] for node in tree.get("nodes", ()) if "mesh" in node]
     # All that there is is made, whether it is shown or not; and all nodes are parts of the tree.
     made = sum(accessors) + sum(map(sum, meshes)) + _copied(tree.get("bufferViews", ()), len(data))
-    parts = max(sum(map(len, meshes)), sum(map(len, shown)), len(tree.get("nodes", ())), len(accessors) // 10)
+    nodes = tree.get("nodes", ())
+    # Of a tree, each node is the child of one at most; another graph is walked along all its edges.
+    children = sum(len(node.get("children", ())) for node in nodes)
+    parts = max(sum(map(len, meshes)), sum(map(len, shown)), len(nodes), children, len(accessors) // 10)
     return Counts(max(made, sum(map(sum, shown))), parts)
 
 

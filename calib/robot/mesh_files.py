@@ -1,5 +1,6 @@
 """Mesh files as triangles, for scenes and for collisions: one reader, and nothing but the file is opened."""
 
+import codecs
 import io
 import logging
 import warnings
@@ -18,6 +19,7 @@ Rgb = tuple[float, float, float]
 
 # Formats that hold a mesh and nothing else: trimesh would also open archives, drawings and CAD files.
 _FORMATS = {".dae", ".stl", ".obj", ".ply", ".off", ".glb"}
+_TEXTS = {".stl", ".obj", ".off"}
 LARGEST_FILE = 200_000_000
 # Corners so near each other, in m, are one vertex.
 _SAME_PLACE = 1e-8
@@ -70,17 +72,26 @@ def parse_mesh(data: bytes, suffix: str, otherwise: Rgb, spare: int = MOST_CORNE
     """
     if suffix not in _FORMATS:
         return None
+    triangles = _of_binary_stl(data, otherwise) if suffix == ".stl" else None
+    if suffix in _TEXTS and triangles is None:
+        data = _as_utf8(data)
     try:
         told = counts(data, suffix)
     except DAMAGED:
         return None
     if not told.within(spare + len(data)):
         return None
-    triangles = _of_binary_stl(data, otherwise) if suffix == ".stl" else None
     parts = _by_library(data, suffix, otherwise) if triangles is None else [triangles]
     corners = 3 * sum(len(part.faces) for part in parts)
     usable = 0 < corners <= spare + len(data) and all(map(is_sound, parts))
     return Mesh(joined_by_colour(parts), max(corners, told.corners)) if usable else None
+
+
+def _as_utf8(data: bytes) -> bytes:
+    """Return a text as the library reads it: it would guess the encoding, and so read words that nobody counted."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", "replace").encode()
+    return data.decode("utf-8", "replace").encode()
 
 
 def _of_binary_stl(data: bytes, rgb: Rgb) -> Triangles | None:

@@ -392,6 +392,13 @@ def _glb_chain(size: int) -> bytes:
     return _glb(_SOUND | {"nodes": [*nodes, {"mesh": 0}]}, _BINARY)
 
 
+def _glb_edges(size: int) -> bytes:
+    """Return a GLB of some hundreds of nodes, each of which is the child of all before it."""
+    n = int((size / 3) ** 0.5)
+    nodes: list[dict[str, object]] = [{"children": list(range(k + 1, n + 1))} for k in range(n)]
+    return _glb(_SOUND | {"nodes": [*nodes, {"mesh": 0}]}, _BINARY)
+
+
 def _glb_doubling(size: int) -> bytes:
     n = size // 35
     nodes: list[dict[str, object]] = [{"children": [k + 1, k + 1]} for k in range(n)]
@@ -407,6 +414,13 @@ def _ply(size: int) -> bytes:
     head += "element face {}\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n"
     n = size // 8
     return (head.format(n) + "3 0 1 2\n" * n).encode()
+
+
+def _ply_lists(size: int) -> bytes:
+    """Return a PLY of one thing with very many lists, each of them empty."""
+    n = size // 30
+    lists = "".join(f"property list uchar int {k}\n" for k in range(n))
+    return f"ply\nformat binary_little_endian 1.0\nelement o 1\n{lists}end_header\n".encode() + bytes(n)
 
 
 def _ply_promise(_: int) -> bytes:
@@ -1239,10 +1253,13 @@ _MESHES_OF: dict[str, tuple[str, Callable[[int], bytes]]] = {
     "glb pictures": ("m.glb", _glb_pictures),
     "glb instances": ("m.glb", _glb_instances),
     "glb chain": ("m.glb", _glb_chain),
+    "glb edges": ("m.glb", _glb_edges),
     "glb doubling": ("m.glb", _glb_doubling),
     "obj triangles": ("m.obj", _obj(lambda _: "f 1 2 3\n")),
     "obj objects": ("m.obj", _obj(lambda k: f"o o{k}\nf 1 2 3\n")),
     "obj materials": ("m.obj", _obj(lambda k: f"usemtl m{k}\nf 1 2 3\n")),
+    "obj materials within lines": ("m.obj", _obj(lambda k: f" usemtl m{k}\nf 1 2 3\n")),
+    "obj materials over lines": ("m.obj", _obj(lambda k: f"use\\\r\nmtl m{k}\nf 1 2 3\n")),
     "obj polygon": ("m.obj", lambda size: b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + b" 1 2 3" * (size // 6)),
     "obj points": ("m.obj", lambda size: repeated(lambda k: f"v {k} {k} 1\n", size).encode() + b"f 1 2 3\n"),
     "dae polylist": ("m.dae", _dae_polygons("polylist")),
@@ -1251,6 +1268,7 @@ _MESHES_OF: dict[str, tuple[str, Callable[[int], bytes]]] = {
     "ply polygon": ("m.ply", _ply_polygon("binary_little_endian")),
     "ply polygon as text": ("m.ply", _ply_polygon("ascii")),
     "ply triangles": ("m.ply", _ply),
+    "ply lists": ("m.ply", _ply_lists),
     "ply promise": ("m.ply", _ply_promise),
     "off triangles": ("m.off", _off),
     "off promise": ("m.off", _off_promise),

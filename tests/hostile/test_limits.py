@@ -160,7 +160,11 @@ def test_a_robot_of_too_many_shapes_is_drawn_as_sticks(tmp_path: Path) -> None:
         ("glb same points", 150_000),
         ("glb views", 150_000),
         ("glb instances", 150_000),
+        ("glb edges", 60_000),
         ("obj materials", 40_000),
+        ("obj materials within lines", 40_000),
+        ("obj materials over lines", 40_000),
+        ("ply lists", 30_000),
         ("stl solids", 150_000),
     ],
 )
@@ -187,6 +191,20 @@ def test_meshes_that_do_not_are_read_and_counted_right(tmp_path: Path, name: str
     assert mesh is not None
     said = counts(path.read_bytes(), path.suffix)
     assert 3 * sum(len(part.faces) for part in mesh.parts) <= max(said.corners, len(path.read_bytes()))
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "cp037"])
+def test_words_of_a_mesh_are_counted_in_every_encoding(encoding: str) -> None:
+    head = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    few = "".join(f"usemtl {k}\nf 1 2 3\n" for k in range(20))
+    many = "".join(f"usemtl {k}\nf 1 2 3\n" for k in range(1001))
+    assert parse_mesh((head + many).encode(encoding), ".obj", GREY) is None
+    read = parse_mesh((head + few).encode(encoding), ".obj", GREY)
+    assert (read is not None) == (encoding == "utf-16")
+
+
+def test_a_mesh_with_a_word_in_latin_1_is_read() -> None:
+    assert parse_mesh("# Gr\xf6\xdfe\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n".encode("latin-1"), ".obj", GREY) is not None
 
 
 def test_pictures_in_a_mesh_are_not_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
