@@ -449,6 +449,9 @@ def test_check_of_a_workbook_says_what_to_do(folder: Path) -> None:
     [
         ("xl/worksheets/sheet1.xml", b"<row/>" * 1_500_000, "unpacks to more than 4 tags for each of its bytes"),
         ("xl/sharedStrings.xml", b"<si/>" * 1_500_000, "unpacks to more than 4 tags for each of its bytes"),
+        ("xl/styles.xml", b"<xf/>" * 250_001, "has more formats, names and texts than a table needs"),
+        ("xl/sharedStrings.xml", b"<x:si/>" * 250_001, "has more formats, names and texts than a table needs"),
+        ("xl/worksheets/sheet1.xml", b"<is/>" * 250_001, "has more formats, names and texts than a table needs"),
         ("xl/comments1.xml", bytes(60_000_000), "unpacks to more than 50000000 bytes"),
         ("xl/styles.xml", b"<!DOCTYPE a>", "'xl/styles.xml' has a document type, which no workbook needs"),
         ("xl/styles.xml", "<!DOCTYPE a>".encode("utf-16"), "'xl/styles.xml' has a document type, which no"),

@@ -19,6 +19,10 @@ _LARGEST = 200_000_000
 # tags. openpyxl takes a time that grows with the tags of all parts, of which a small archive may hold tens of millions.
 _MOST_PER_BYTE, _LEAST = 50, 50_000_000
 _MOST_TAGS_PER_BYTE, _LEAST_TAGS = 4, 500_000
+# Of tags other than those of rows, numbers and formulas openpyxl makes objects, in 20 us each: formats, fonts, names, texts.
+_TAG = re.compile(rb"<(?:\w+:)?\w")
+_PLAIN_TAG = re.compile(rb"<(?:\w+:)?(?:c|f|row|t|v)[\s/>]")
+_LEAST_OBJECTS, _BYTES_OF_AN_OBJECT = 250_000, 4
 _MOST_ROWS, _MOST_COLUMNS, _MOST_VALUES = 200_000, 1000, 5_000_000
 # The last row that a workbook can have; the rows before one are walked through, be they there or not.
 _LAST_ROW = 1_048_576
@@ -99,17 +103,22 @@ def _refuse_bombs(archive: zipfile.ZipFile, size: int, where: str) -> None:
     most = min(_LARGEST, max(_LEAST, _MOST_PER_BYTE * size))
     if sum(member.file_size for member in archive.infolist()) > most:
         raise MeasurementError(f"{where}: unpacks to more than {most} bytes.")
-    tags = 0
+    tags = objects = 0
     for member in archive.infolist():
-        part = archive.read(member)
-        if b"<!DOCTYPE" in part.replace(b"\0", b""):  # whose entities stand for tags that are not counted
+        part = archive.read(member).replace(b"\0", b"")
+        if b"<!DOCTYPE" in part:  # whose entities stand for tags that are not counted
             raise MeasurementError(f"{where}: {shown(member.filename)} has a document type, which no workbook needs.")
-        longest = max(map(len, _FORMAT.findall(part.replace(b"\0", b""))), default=0)
+        longest = max(map(len, _FORMAT.findall(part)), default=0)
         if longest**2 * part.count(b"x") > _MOST_OF_FORMATS:
             raise MeasurementError(f"{where}: {shown(member.filename)} has formats of numbers that are too long.")
         tags += part.count(b"<")
         if tags > max(_LEAST_TAGS, _MOST_TAGS_PER_BYTE * size):
             raise MeasurementError(f"{where}: unpacks to more than {_MOST_TAGS_PER_BYTE} tags for each of its bytes.")
+        objects += len(_TAG.findall(part)) - len(_PLAIN_TAG.findall(part))
+        if objects > max(_LEAST_OBJECTS, size // _BYTES_OF_AN_OBJECT):
+            raise MeasurementError(
+                f"{where}: has more formats, names and texts than a table needs; copy the table into a new workbook."
+            )
 
 
 def _sheets(data: bytes, where: str) -> list[str]:
