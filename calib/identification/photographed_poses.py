@@ -65,7 +65,7 @@ def _poses(data: Measurements, target: str) -> Measurements:
     nowhere = np.broadcast_to(np.eye(4), (len(data), 4, 4))
     images, _ = every_image(sights([data], [nowhere], data.targets.index(target)))
     on_tip = data.camera is not None and data.camera.camera_on == "tip"
-    found = data.subset(np.array([one.row for one in images], dtype=np.intp))
+    found = data.subset(np.array([one.sight.rows[one.row] for one in images], dtype=np.intp))
     T = np.array([one.pose if on_tip else rigid.inverse(one.pose) for one in images]).reshape(-1, 4, 4)
     n = len(images)
     return replace(

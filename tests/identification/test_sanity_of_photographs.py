@@ -70,6 +70,18 @@ def test_sound_photographs_are_left_alone(camera_on: str) -> None:
 
 
 @pytest.mark.parametrize("camera_on", PLACES)
+def test_sound_photographs_of_two_boards_in_one_table_are_left_alone(camera_on: str) -> None:
+    """Every other photograph is of a second target, wherever that is."""
+    robot, data = photographs(camera_on)
+    of_other = np.arange(len(data)) // MARKS % 2
+    both = replace(data, targets=(*data.targets, "other"), target=of_other)
+    model = calib.error_model(robot, offsets="all", placements="all", base="fixed", tool="pose")
+    assert signatures(model, [both]) == ()
+    wrong = replace(both, readings=data.readings * [1, 1, -1, 1, 1, 1])
+    assert [one.code for one in signatures(model, [wrong])] == ["flipped-sign"]
+
+
+@pytest.mark.parametrize("camera_on", PLACES)
 def test_a_joint_that_is_read_with_the_wrong_sign_is_named(camera_on: str) -> None:
     (finding,) = found(camera_on, readings=lambda J: J * [1, 1, -1, 1, 1, 1])
     assert (finding.severity, finding.code) == ("error", "flipped-sign")
