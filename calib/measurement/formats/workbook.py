@@ -19,7 +19,7 @@ _LARGEST = 200_000_000
 # tags. openpyxl takes a time that grows with the tags of all parts, of which a small archive may hold tens of millions.
 _MOST_PER_BYTE, _LEAST = 50, 50_000_000
 _MOST_TAGS_PER_BYTE, _LEAST_TAGS = 4, 500_000
-# Of tags other than those of rows, numbers and formulas openpyxl makes objects, in 20 us each: formats, fonts, names, texts.
+# Of tags other than those of rows, numbers and formulas openpyxl makes objects, in 20 us each: formats, fonts, names.
 _TAG = re.compile(rb"<(?:\w+:)?\w")
 _PLAIN_TAG = re.compile(rb"<(?:\w+:)?(?:c|f|row|t|v)[\s/>]")
 _LEAST_OBJECTS, _BYTES_OF_AN_OBJECT = 250_000, 4
