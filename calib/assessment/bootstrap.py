@@ -30,6 +30,8 @@ from calib.robot.conditions import ordinary
 
 Kind = Literal["residuals", "poses"]
 
+_MOST = 100_000
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bootstrap:
@@ -73,12 +75,12 @@ def bootstrap(
     same readings; of a stream, stretches of 5 s, of which a dozen tell little and fewer nothing. Rows of photographs
     that err together are weighed as in the fit. ``progress`` is told how many of how many are done.
 
-    Raises JobError when there are fewer than two repetitions, MeasurementError for an unknown tool, RobotError for what
-    is no readings of this robot.
+    Raises JobError for fewer than two repetitions or more than 100 000, MeasurementError for an unknown tool,
+    RobotError for what is no readings of this robot.
     """
-    if repetitions < 2 or kind not in ("residuals", "poses"):
+    if not 2 <= repetitions <= _MOST or kind not in ("residuals", "poses"):
         raise JobError(
-            f"bootstrap: {repetitions} repetitions of kind {kind!r}; it takes 2 or more, residuals or poses."
+            f"bootstrap: {repetitions} repetitions of kind {kind!r}; it takes 2 to {_MOST}, residuals or poses."
         )
     tools = fit.measurements[0].tools
     if tool not in tools:
