@@ -131,7 +131,7 @@ def test_wrong_wishes_are_refused() -> None:
     with pytest.raises(JobError, match="1 repetitions of kind 'poses'"):
         bootstrap(fit, readings, 1)
     with pytest.raises(JobError, match="100001 repetitions of kind"):
-        bootstrap(fit, readings, 1)
+        bootstrap(fit, readings, 100_001)
     with pytest.raises(MeasurementError, match=r"there is no tool 'ball'; the calibrated one is 'tool'\."):
         bootstrap(fit, readings, 2, tool="ball")
     (data,) = fit.measurements
