@@ -64,9 +64,8 @@ def _poses(data: Measurements, target: str) -> Measurements:
     """Return the poses of the tool that photographs of one set show, in the frame of a target."""
     nowhere = np.broadcast_to(np.eye(4), (len(data), 4, 4))
     images, _ = every_image(sights([data], [nowhere], data.targets.index(target)))
-    on_tip = data.camera is not None and data.camera.camera_on == "tip"
-    found = data.subset(np.array([one.sight.rows[one.row] for one in images], dtype=np.intp))
-    T = np.array([one.pose if on_tip else rigid.inverse(one.pose) for one in images]).reshape(-1, 4, 4)
+    found = data.subset(np.array([one.row_of_data for one in images], dtype=np.intp))
+    T = np.array([one.of_tool[0] for one in images]).reshape(-1, 4, 4)
     n = len(images)
     return replace(
         found,

@@ -146,9 +146,7 @@ def target_pose(name: str, own: Sequence[TargetRows], tools: Array) -> Array:
     if not any(sight.data.of_boards for sight in own):
         directions = [(T[:, :3, :3] @ sight.rays[:, :, None])[:, :, 0] for T, sight in zip(cameras, own, strict=True)]
         return rigid.translation(crossing(np.concatenate(cameras)[:, :3, 3], np.concatenate(directions)))
-    seen = [
-        one.sight.tips[one.row] @ tools[one.sight.tool[one.row]] @ rigid.inverse(one.pose) for one in images_of(own)
-    ]
+    seen = [one.tip @ tools[one.tool] @ rigid.inverse(one.pose) for one in images_of(own)]
     if not seen:
         raise _too_few(own, name)
     # An image with outliers is far off, and the median hardly minds.
@@ -185,6 +183,28 @@ class Image(NamedTuple):
     other: Array
     sure: bool
 
+    @property
+    def row_of_data(self) -> int:
+        """Its first row among all rows of its set; ``row`` counts those of its target."""
+        return int(self.sight.rows[self.row])
+
+    @property
+    def tip(self) -> Array:
+        """Where the tip link was (4, 4)."""
+        return np.asarray(self.sight.tips[self.row])
+
+    @property
+    def tool(self) -> int:
+        """Which tool was there."""
+        return int(self.sight.tool[self.row])
+
+    @property
+    def of_tool(self) -> tuple[Array, Array]:
+        """The tool's pose in the frame of the target (4, 4), and the one by the other pose."""
+        if self.sight.camera.camera_on == "tip":
+            return self.pose, self.other
+        return rigid.inverse(self.pose), rigid.inverse(self.other)
+
 
 def images_of(own: Sequence[TargetRows]) -> list[Image]:
     """Return the images of a board. Those that fit no pose by far as well as most of them are left out."""
@@ -218,11 +238,8 @@ def _aligned(model: ErrorModel, images: Sequence[Image], tools: Array) -> tuple[
     An image that may be of a board tilted to the other side is taken for what agrees with the others: with those of a
     few images, of some tried, that most agree with.
     """
-    on_tip = np.array([one.sight.camera.camera_on == "tip" for one in images])[:, None, None]
-    both = np.stack([[one.pose for one in images], [one.other for one in images]])
-    both = np.where(on_tip, both, rigid.inverse(both))
-    tips = np.stack([one.sight.tips[one.row] for one in images])
-    tool = np.array([one.sight.tool[one.row] for one in images], dtype=np.intp)
+    both = np.stack([one.of_tool for one in images], axis=1)
+    tips, tool = np.stack([one.tip for one in images]), np.array([one.tool for one in images], dtype=np.intp)
     fixed = model.tool == "fixed"
     known = KnownFrames(None, tools[:, :3, 3] if fixed else None, tools[:, :3, :3] if fixed else None)
 

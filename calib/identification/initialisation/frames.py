@@ -248,8 +248,8 @@ def _as_positions(carried: Carried, frames: Frames, rows: BoolArray) -> TipObser
     images = (
         cameras.images_of([cameras.TargetRows(data, camera, np.flatnonzero(rows), tips[rows])]) if rows.any() else []
     )
-    n = np.array([one.sight.rows[one.row] for one in images], dtype=np.intp)
-    poses = [one.pose if camera.camera_on == "tip" else rigid.inverse(one.pose) for one in images]
+    n = np.array([one.row_of_data for one in images], dtype=np.intp)
+    poses = [one.of_tool[0] for one in images]
     placed = frames.targets[data.target[n]] @ np.array(poses).reshape(-1, 4, 4)
     return TipObservations(tips[n], placed[:, :3, 3], placed[:, :3, :3], data.tool[n])
 
