@@ -11,12 +11,12 @@ from typing import Literal
 import numpy as np
 
 from calib.assessment.influence import Residue
-from calib.foundations.arrays import IntArray
 from calib.foundations.words import listed, noun
 from calib.identification.fit import Fit
 from calib.identification.machine import Layout
+from calib.identification.rows import frame_numbers
 from calib.identification.targets import shapes
-from calib.measurement.measurements import Measurements, numbered
+from calib.measurement.measurements import numbered
 
 # Of more numbers some always check the others: a base and a tool have twelve unknowns at most.
 _MOST_NUMBERS = 24
@@ -69,7 +69,7 @@ def unchecked(residue: Residue, kind: Literal["base", "tool"]) -> tuple[str, ...
     numbers: Counter[int] = Counter()
     for data in sets:
         each = _MOST_NUMBERS if kind == "base" and data.kind == "pose" else data.sigma.shape[1]
-        for number, same in numbered(_whose(data, kind)):
+        for number, same in numbered(frame_numbers(data, kind)):
             numbers[number] += each * len(same)
     free = {layout.frame_of(p)[0] for p in fit.parameters if p.kind == kind}
     few = {k for k, count in numbers.items() if count < _MOST_NUMBERS and k in free}
@@ -77,15 +77,11 @@ def unchecked(residue: Residue, kind: Literal["base", "tool"]) -> tuple[str, ...
         return ()
     left = dict.fromkeys(sorted(few), 0.0)
     for i, data in enumerate(sets):
-        if few.isdisjoint(_whose(data, kind).tolist()):
+        if few.isdisjoint(frame_numbers(data, kind).tolist()):
             continue
         for rows in residue.blocks(i):
             H = rows.J @ residue.covariances(rows) @ np.swapaxes(rows.J, -1, -2)
             own = np.sum(1.0 - rows.w[:, None] * np.diagonal(H, axis1=1, axis2=2), axis=1)
             for k in few:
-                left[k] += float(np.sum(own[_whose(data, kind)[rows.rows] == k]))
+                left[k] += float(np.sum(own[frame_numbers(data, kind)[rows.rows] == k]))
     return tuple(names[k] for k, redundancy in left.items() if redundancy < _LEAST)
-
-
-def _whose(data: Measurements, kind: Literal["base", "tool"]) -> IntArray:
-    return data.setup if kind == "base" else data.tool

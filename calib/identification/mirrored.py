@@ -15,7 +15,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.linear import svd, triangle
 from calib.identification.machine import Layout, Machine
-from calib.identification.mirrored_boards import Photographed, photographed
+from calib.identification.mirrored_boards import Photographed, frames_in, photographed
 from calib.identification.parameters import ParameterKind, scales
 from calib.identification.system import Problem
 from calib.measurement.kinds import Kind
@@ -95,10 +95,7 @@ def _rows(problem: Problem, at: Machine, sigmas: Sequence[Array]) -> _Lengths | 
 
 def _told_otherwise(problem: Problem, kind: ParameterKind) -> set[int]:
     """Return the tools, or targets, by number, of which more tells than lengths to one point."""
-    others = [data for data in problem.measurements if data.kind not in _LENGTHS]
-    if kind == "tool":
-        return {int(t) for data in others for end in data.ends for t in np.unique(end.tool)}
-    return {int(t) for data in others for t in np.unique(data.target)}
+    return {t for data in problem.measurements if data.kind not in _LENGTHS for t in frames_in(data, kind)}
 
 
 def _related(problem: Problem) -> set[int]:

@@ -18,7 +18,7 @@ from calib.identification.machine import Layout, Machine
 from calib.identification.observations import observe
 from calib.identification.observations.seen import Moved, Seen
 from calib.identification.parameters import ParameterKind, scales
-from calib.identification.rows import photograph_numbers, scalars_of
+from calib.identification.rows import frame_numbers, photograph_numbers, scalars_of
 from calib.identification.set_ups import SetUp
 from calib.identification.system import Problem
 from calib.measurement.measurements import Measurements, numbered
@@ -121,19 +121,21 @@ def photographed(
     sets = problem.measurements
     boards = [data.of_boards and not data.target_links for data in sets]
     asked = asked - {
-        number for data, own in zip(sets, boards, strict=True) if not own for number in _numbers(data, kind)
+        number for data, own in zip(sets, boards, strict=True) if not own for number in frames_in(data, kind)
     }
+    if not asked:
+        return
     photographs = {i: photograph_numbers(data) for i, data in enumerate(sets) if boards[i]}
     count = dict.fromkeys(asked, 0)
     for i, photograph in photographs.items():
-        for number, rows in numbered(_whose(sets[i], kind)):
+        for number, rows in numbered(frame_numbers(sets[i], kind)):
             if number in count:
                 count[number] += len(np.unique(photograph[rows]))
     asked = {number for number, many in count.items() if 0 < many <= _MOST_PHOTOGRAPHS}
     alone = set[int]() if kind == "target" else _of_one(problem, kind)
     found: dict[int, list[_Rows]] = {}
     for i, photograph in photographs.items() if asked else ():
-        whose = _whose(sets[i], kind)
+        whose = frame_numbers(sets[i], kind)
         few = np.flatnonzero(np.isin(whose, list(asked)) & ~np.isin(sets[i].target, list(alone)))
         if not len(few):
             continue
@@ -158,18 +160,14 @@ def _of_one(problem: Problem, kind: ParameterKind) -> set[int]:
     for data in problem.measurements:
         for number, rows in numbered(data.target):
             if number in whose:
-                whose[number] |= set(np.unique(_whose(data, kind)[rows]).tolist())
+                whose[number] |= set(np.unique(frame_numbers(data, kind)[rows]).tolist())
     return {number for number, own in whose.items() if len(own) == 1}
 
 
-def _numbers(data: Measurements, kind: ParameterKind) -> set[int]:
-    if kind == "tool":
-        return {int(k) for end in data.ends for k in np.unique(end.tool)}
-    return {int(k) for k in np.unique(_whose(data, kind))}
-
-
-def _whose(data: Measurements, kind: ParameterKind) -> IntArray:
-    return {"base": data.setup, "tool": data.tool, "target": data.target}[kind]
+def frames_in(data: Measurements, kind: ParameterKind) -> set[int]:
+    """Return which bases, tools or targets rows are of, by number, those of other ends as well."""
+    own = [end.tool for end in data.ends] if kind == "tool" else [frame_numbers(data, kind)]
+    return {int(k) for numbers in own for k in np.unique(numbers)}
 
 
 def _mirror(normal: Array, point: Array) -> Array:

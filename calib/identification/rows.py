@@ -10,6 +10,7 @@ from calib.foundations.errors import PoseError
 from calib.identification.machine import Frames
 from calib.identification.observations import observe
 from calib.identification.observations.seen import Linearised, Seen
+from calib.identification.parameters import ParameterKind
 from calib.measurement.kinds import WITH_TARGET
 from calib.measurement.measurements import Measurements
 from calib.measurement.streams.stream import SHIFTS
@@ -47,6 +48,11 @@ def _between(number: IntArray) -> IntArray:
     last[number] = np.arange(len(number))
     until = np.maximum.accumulate(last[number])
     return np.append(np.flatnonzero(until[:-1] < np.arange(1, len(number))) + 1, len(number))
+
+
+def frame_numbers(data: Measurements, kind: ParameterKind) -> IntArray:
+    """Return which base, tool or target (N,) each row is of, by number."""
+    return {"base": data.setup, "tool": data.tool, "target": data.target}[kind]
 
 
 def photograph_numbers(data: Measurements) -> IntArray:

@@ -13,7 +13,8 @@ from calib.identification import targets
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initialise, turned, turned_by
 from calib.identification.machine import Frames, Layout, Machine, values_at
-from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter
+from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter, ParameterKind
+from calib.identification.rows import frame_numbers
 from calib.identification.set_ups import SetUp
 from calib.identification.solver import solve
 from calib.identification.system import Problem
@@ -252,10 +253,11 @@ def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Ma
 
 def _refuse_too_few(new: Sequence[Parameter], layout: Layout, sets: Sequence[Measurements]) -> None:
     """Refuse rows that new tools and bases would use up: nothing would be left to judge."""
-    for kind in ("base", "tool"):
+    kinds: tuple[ParameterKind, ...] = ("base", "tool")
+    for kind in kinds:
         entries = [layout.frame_of(q)[0] for q in new if q.kind == kind]
         for k in dict.fromkeys(entries):
-            own = [data.setup == k if kind == "base" else data.tool == k for data in sets]
+            own = [frame_numbers(data, kind) == k for data in sets]
             numbers = sum(int(rows.sum()) * data.sigma.shape[1] for data, rows in zip(sets, own, strict=True))
             if numbers <= entries.count(k):
                 what, names = ("set-up", sets[0].setups) if kind == "base" else ("tool", sets[0].tools)
