@@ -14,6 +14,8 @@ from threadpoolctl import ThreadpoolController
 from calib.foundations.arrays import Array
 from calib.foundations.errors import LITTLE_MEMORY, CalibError
 
+# Singular values below this share of the largest are rounding.
+ROUNDING = 1e-14
 # A condition estimated in sums of columns is off by at most the number of columns, and by little else.
 _SURELY = 100.0
 # Fewer columns are reduced as they are; so many are reduced at once.
@@ -37,17 +39,16 @@ def spread(x: Array) -> float:
     return float(np.sqrt(np.mean(np.sum((x - x.mean(axis=0)) ** 2, axis=1))))
 
 
-def inverse_triangle(rows: Array, tolerance: float) -> tuple[Array, Array] | None:
+def inverse_triangle(rows: Array) -> tuple[Array, Array] | None:
     """Return the inverse (c, c) of a triangle ``[R r]`` (q, c + 1), and ``-R^-1 r`` (c,); None where R is singular.
 
-    It is where its condition does not rule out singular values below a hundred times the ``tolerance``, as shares of
-    the largest.
+    It is where its condition does not rule out singular values below a hundred times :data:`ROUNDING`.
     """
     c = rows.shape[1] - 1
     if len(rows) < c or c == 0:
         return None
     R = rows[:c, :c]
-    if not np.all(np.diag(R)) or scipy.linalg.lapack.dtrcon(R)[0] < _SURELY * c * tolerance:
+    if not np.all(np.diag(R)) or scipy.linalg.lapack.dtrcon(R)[0] < _SURELY * c * ROUNDING:
         return None
     inverse = np.triu(scipy.linalg.lapack.dtrtri(R)[0])
     return inverse, -inverse @ rows[:c, c]

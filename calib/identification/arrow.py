@@ -318,10 +318,10 @@ class Inverse(NamedTuple):
         return Covariance(self.split, self.spread @ self.spread.T, self.reduced.follow, self.reduced.root)
 
     @classmethod
-    def of(cls, rows: Arrow, tolerance: float) -> "Inverse":
+    def of(cls, rows: Arrow) -> "Inverse":
         """Solve for the step that makes ``J step + r`` smallest."""
-        reduced = rows.reduced(tolerance)
-        spread, common = _solved(reduced.rest, tolerance)
+        reduced = rows.reduced(linear.ROUNDING)
+        spread, common = _solved(reduced.rest)
         return cls(rows.split, rows.split.whole(common, reduced.follow @ common + reduced.constant), spread, reduced)
 
     def used(self, part: Part) -> float:
@@ -334,14 +334,14 @@ class Inverse(NamedTuple):
         return float(own + np.sum(through**2) + np.sum((part.rest[:, :-1] @ self.spread) ** 2))
 
 
-def _solved(rows: Array, tolerance: float) -> tuple[Array, Array]:
+def _solved(rows: Array) -> tuple[Array, Array]:
     """Return a root (c, k) of the covariance of what rows (q, c + 1) are about, and its solution (c,).
 
-    By a triangle, unless its condition lets singular values be below the ``tolerance``: these count as none.
+    By a triangle, unless its condition lets singular values be no more than rounding: these count as none.
     """
-    found = linear.inverse_triangle(linear.triangle(rows), tolerance)
+    found = linear.inverse_triangle(linear.triangle(rows))
     if found is None:
-        spread = np.asarray(np.linalg.pinv(rows[:, :-1], rcond=tolerance), dtype=np.float64)
+        spread = np.asarray(np.linalg.pinv(rows[:, :-1], rcond=linear.ROUNDING), dtype=np.float64)
         return spread, -spread @ rows[:, -1]
     return found
 

@@ -13,12 +13,9 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
-from calib.foundations.linear import svd
+from calib.foundations.linear import ROUNDING, svd
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem, evaluate
-
-# Singular values below this share of the largest are rounding.
-_SINGULAR = 1e-14
 
 
 class Errors(NamedTuple):
@@ -68,12 +65,12 @@ def following(problem: Problem, x: Array, sigmas: Sequence[Array], free: int, er
     units = scales(parameters)
     hold = np.array([parameter.hold if k < free else 0.0 for k, parameter in enumerate(parameters)])
     rows = evaluate(problem, sigmas, x, problem.targets_apart).rows.whole.held(hold, np.zeros(len(hold)))
-    reduced, split = rows.reduced(_SINGULAR), rows.split
+    reduced, split = rows.reduced(ROUNDING), rows.split
     J, own = reduced.rest[:, :-1], split.common < free
     moved = np.zeros((len(split.common), given.shape[1]))
     moved[~own] = (given / units[free:, None])[split.common[~own] - free]
     U, s, Vt = svd(J[:, own], full_matrices=False)
-    moved[own] = -(Vt.T / np.maximum(s, _SINGULAR * s.max(initial=0.0))) @ (U.T @ (J[:, ~own] @ moved[~own]))
+    moved[own] = -(Vt.T / np.maximum(s, ROUNDING * s.max(initial=0.0))) @ (U.T @ (J[:, ~own] @ moved[~own]))
     found = units[:, None] * split.whole(moved, reduced.follow @ moved)
     ends = np.cumsum([part.shape[1] for part in errors])[:-1]
     return Earlier(parameters, Errors(*map(read_only, np.split(found, ends, axis=1))))

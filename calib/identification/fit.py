@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
-from calib.foundations.linear import svd
+from calib.foundations.linear import ROUNDING, svd
 from calib.foundations.showing import shower
 from calib.identification.arrow import Covariance
 from calib.identification.earlier import Earlier, Errors
@@ -28,8 +28,6 @@ from calib.robot.robot import Deviations, Robot
 
 # Of more parameters a matrix tells nobody anything.
 _MOST_CORRELATED = 500
-# Singular values below this share of the largest are rounding.
-_SINGULAR = 1e-14
 
 NullSpacePolicy = Literal["nearest", "minimal", "refuse"]
 
@@ -199,7 +197,7 @@ class Fit:
             moved, N = U * np.sqrt(s) / units[own, None], self.null_basis[own]
             # The covariance is that of a free network. Values are where weak priors hold them along the null space.
             hold = np.array([self.parameters[k].hold for k in own])[:, None]
-            moved = moved - N @ np.linalg.lstsq(hold * N, hold * moved, rcond=_SINGULAR)[0]
+            moved = moved - N @ np.linalg.lstsq(hold * N, hold * moved, rcond=ROUNDING)[0]
             noise = np.zeros((len(self.parameters), len(own)))
             noise[own] = units[own, None] * moved
         null_basis = units[:, None] * self.null_basis

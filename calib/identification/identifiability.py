@@ -31,8 +31,6 @@ MOVED = 0.02
 # Directions that are determined up to so many times better than those of the null space help to find these; by so weak
 # a prior, in as many steps. What moves what counts by less than this share does not move it.
 _AROUND, _SHIFT, _ITERATIONS, _SHORT = 10.0, 1e-2, 6, 1e-8
-# Singular values below this share of the largest are rounding.
-_SINGULAR = 1e-14
 # A column is small below so many times the last singular value that counts, times the share that is asked of it.
 _SMALL = 10.0
 # Smaller shares of a direction of the null space are not told.
@@ -227,7 +225,7 @@ def _undetermined(rows: Arrow, reduced: Reduced, found: Directions, counted: Int
     counts = np.zeros(p)
     counts[counted] = 1.0
     # As a prior, so weak that it changes no direction, it leaves nothing open but what does not count.
-    held = Inverse.of(rows.held(_SHIFT * least * counts, np.zeros(p)), _SINGULAR).covariance
+    held = Inverse.of(rows.held(_SHIFT * least * counts, np.zeros(p))).covariance
     for _ in range(_ITERATIONS):
         V = held.times(counts[:, None] * _of_length_one(V, counts))
     V = _of_length_one(V, counts)

@@ -20,7 +20,7 @@ import numpy as np
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import PoseError
-from calib.foundations.linear import one_thread, svd, triangle
+from calib.foundations.linear import ROUNDING, one_thread, svd, triangle
 from calib.identification.arrow import Arrow, Inverse
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.parameters import Parameter, scales
@@ -45,8 +45,6 @@ _SHARES = (1.0, 0.3, 0.1, 0.03)
 _ALONE = 1e-6
 # So many rows of a set tell whether that is so.
 _ENOUGH_ROWS = 500
-# Singular values below this share of the largest are rounding.
-_SINGULAR = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +80,7 @@ class AlongNullSpace:
         with one_thread():
             widths = self._widths(units)
             U, s, Wt = svd(self.null_basis / widths[:, None], full_matrices=False)
-            held = s > _SINGULAR * s[0]
+            held = s > ROUNDING * s[0]
             root = self.null_basis @ (Wt[held].T / s[held])
             along = units[:, None] * np.column_stack([root, root @ (U[:, held].T @ (off / widths))])
             return read_only(np.column_stack([along, *self._bent(along)]))
@@ -150,7 +148,7 @@ class AlongNullSpace:
         parameters = self.problem.parameters
         rows = evaluate(self.problem, self.sigmas, x, self.rows.split).rows.whole
         hold = np.array([parameter.hold for parameter in parameters])
-        return scales(parameters) * Inverse.of(rows.held(hold, np.zeros(len(hold))), _SINGULAR).step
+        return scales(parameters) * Inverse.of(rows.held(hold, np.zeros(len(hold)))).step
 
     def _widths(self, units: Array) -> Array:
         """Return the widths (p,) of all parameters, in their scales."""

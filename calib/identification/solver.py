@@ -17,6 +17,7 @@ import scipy
 
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import IdentificationError, JobError, PoseError
+from calib.foundations.linear import ROUNDING
 from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow, Covariance, Inverse, Reduced, Split
 from calib.identification.identifiability import Directions, Spectrum
@@ -39,8 +40,6 @@ _ROUNDING = 1e-10
 _ROUGH, _MOST_ROUGH_STEPS, _MOST_WITH_WEAK_PRIORS = 1e-3, 10, 3
 # A whitened residual beyond all others.
 _NOWHERE = 1e12
-# Singular values below this share of the largest are rounding.
-_SINGULAR = 1e-14
 # Costs are the same within rounding; a step is clearly better, or as good in spite of its cost.
 _SAME_COST, _CLEARLY_LESS, _HARDLY_MORE, _SHORTER = 1e-9, 0.5, 1.1, 0.7
 _LEAST_DAMPING, _MOST_FAILURES = 1.0, 1
@@ -304,7 +303,7 @@ class _Point(NamedTuple):
         """Return the point with its full step."""
         data = evaluation.reweighted(noise.factors).rows.whole
         rows = noise.prior.beside(data, z)
-        return cls(z, evaluation, weighted_by, noise, data, rows, Inverse.of(rows, _SINGULAR).step)
+        return cls(z, evaluation, weighted_by, noise, data, rows, Inverse.of(rows).step)
 
     @property
     def passed(self) -> "_Passed":
@@ -339,12 +338,12 @@ class _Point(NamedTuple):
         if damping == 0.0:
             return self.full
         units = np.where(self.noise.prior.hold > 0.0, self.noise.prior.hold, self.rows.lengths)
-        return Inverse.of(self.rows.held(np.sqrt(damping) * units, np.zeros(len(self.z))), _SINGULAR).step
+        return Inverse.of(self.rows.held(np.sqrt(damping) * units, np.zeros(len(self.z)))).step
 
     @property
     def correction(self) -> Array:
         """The step (p,) that the data ask for, what they hardly see staying where it is."""
-        return Inverse.of(self.data.held(_HELD * self.noise.prior.hold, np.zeros(len(self.z))), _SINGULAR).step
+        return Inverse.of(self.data.held(_HELD * self.noise.prior.hold, np.zeros(len(self.z)))).step
 
     def cost(self, noise: _Noise) -> float:
         """Return the sum of squares of data and priors, by some noise."""
@@ -417,7 +416,7 @@ class _Search(NamedTuple):
         prior = self.prior.weighed(noise.scatter)
         components, whole = evaluation.reweighted(noise.factors).rows
         rows = prior.beside(whole, z)
-        inverse = Inverse.of(rows, _SINGULAR)
+        inverse = Inverse.of(rows)
         redundancies = tuple(
             self.problem.measurements[c.measurements].sigma[:, c.columns].size - inverse.used(own)
             for c, own in zip(self.problem.components, components, strict=True)
@@ -603,7 +602,7 @@ class _Followed:
         self._reduced = self._at(z0)
 
     def _at(self, z: Array) -> Reduced:
-        return self._search.prior.beside(self._search.evaluator(z, self._sigmas).rows.whole, z).reduced(_SINGULAR)
+        return self._search.prior.beside(self._search.evaluator(z, self._sigmas).rows.whole, z).reduced(ROUNDING)
 
     def whole(self, common: Array) -> Array:
         """Return all parameters (p,) for common ones."""
@@ -653,7 +652,7 @@ def _spread(problem: LeastSquares, beside: Arrow) -> Covariance:
     constraints = identifiability.inner_constraints(common, [problem.parameters[k] for k in split.common])
     seen = directions.singular_values[: directions.numerical_rank]
     weight = float(np.sqrt(seen[0] * seen[-1])) if len(seen) else 1.0
-    spread = np.linalg.pinv(np.concatenate([rows.rest[:, :-1], weight * constraints]), rcond=_SINGULAR)
+    spread = np.linalg.pinv(np.concatenate([rows.rest[:, :-1], weight * constraints]), rcond=ROUNDING)
     spread = spread[:, : len(rows.rest)]
     return Covariance(split, spread @ spread.T, rows.follow, rows.root)
 

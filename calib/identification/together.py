@@ -34,10 +34,8 @@ _LENGTH, _ANGLE, _RANGE = 1e-4, 3e-4, 1e3
 _MOST_LENGTH, _MOST_ANGLE = 0.01, 0.1
 # Costs are the same within rounding, where a search ends; or where it is level.
 _SAME, _LEVEL, _MOST_STEPS = 1e-14, 1e-5, 300
-# What nothing tells is held by this share of what rows tell; singular values below that share of the largest are
-# rounding.
+# What nothing tells is held by this share of what rows tell.
 _RIDGE = 1e-6
-_SINGULAR = 1e-14
 # Sets of fewer photographs tell nothing of it.
 FEWEST = 6
 
@@ -288,7 +286,7 @@ class _Criterion(NamedTuple):
         moved, whitened = both[:, :, :6], both[:, :, 6:]
         whole = _with(self.fixed, _reduced(self.fixed.split, list(whitened), self.heads.block))
         logs = 2.0 * float(np.sum(np.log(np.abs(np.diagonal(lower, axis1=1, axis2=2)))))
-        return Inverse.of(whole, _SINGULAR), whitened, moved, logs
+        return Inverse.of(whole), whitened, moved, logs
 
 
 def _with(rows: Arrow, more: Part) -> Arrow:

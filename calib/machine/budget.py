@@ -25,7 +25,7 @@ import scipy
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.chance import correlation_time
-from calib.foundations.linear import one_thread, svd, triangle
+from calib.foundations.linear import ROUNDING, one_thread, svd, triangle
 from calib.identification import weights
 from calib.identification.arrow import Arrow, Collected, Reduced, Split
 from calib.identification.elimination import split_of
@@ -57,8 +57,6 @@ _OFF_ZERO = 0.5
 _BELIEVED = 0.8
 # Longest lag of it, in rows.
 _LONGEST_LAG = 100
-# Singular values below this share of the largest are rounding.
-_SINGULAR = 1e-14
 
 
 class ErrorsByCause(NamedTuple):
@@ -342,7 +340,7 @@ def _solved(parameters: Sequence[Parameter], evaluation: Evaluation, data: Array
     J, related = J[: len(data)], evaluation.relations[:, :free]
     rows = np.concatenate([J[:, :free], related, np.diag(hold[:free])])
     U, s, Vt = svd(rows, full_matrices=False)
-    follows = np.pad((Vt.T / np.maximum(s, _SINGULAR * s[0])) @ U.T, ((0, p - free), (0, 0)))
+    follows = np.pad((Vt.T / np.maximum(s, ROUNDING * s[0])) @ U.T, ((0, p - free), (0, 0)))
     from_data, from_relations, from_priors = np.split(follows, [len(data), len(data) + len(related)], axis=1)
     held = np.vstack([from_data[:free] @ J[:, free:], -np.eye(p - free)]) / hold[free:]
     return _Solved(
