@@ -175,6 +175,13 @@ def test_other_topics_and_damaged_files_are_refused(recorded: Path, tmp_path: Pa
         topics(tmp_path / "none.bag")
 
 
+@pytest.mark.parametrize("ending", [".BAG", ".Mcap"])
+def test_an_ending_in_capitals_is_to_be_changed(ending: str, tmp_path: Path) -> None:
+    (tmp_path / f"a{ending}").write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(MeasurementError, match=rf"a{ending}: call it {ending.lower()}: rosbags reads"):
+        topics(tmp_path / f"a{ending}")
+
+
 def test_why_a_recording_cannot_be_read_is_said(tmp_path: Path) -> None:
     path = recording(tmp_path, "ros1")
     data = path.read_bytes()

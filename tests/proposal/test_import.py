@@ -312,6 +312,38 @@ def test_rows_above_the_header_of_a_spreadsheet_are_passed_over(above: list[obje
         assert found.remarks[-1] == said
 
 
+def test_what_is_merged_downwards_stands_in_every_row(folder: Path) -> None:
+    """A pose that was measured three times, below a header of two rows; a row of nothing else is none."""
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    sheet = book.active
+    for cells in (
+        ["J1 [deg]", "Point", None, None, None],
+        [None, "Nest", "X [mm]", "Y [mm]", "Note"],
+        [1.5, "A", 2.5, 3.5, None],
+        [None, "B", 4.5, 5.5, "far"],
+        [None, "C", 6.5, 7.5, None],
+        [8.5, "A", 9.5, 1.5, None],
+        [None, None, None, None, None],
+    ):
+        sheet.append(cells)
+    for merged in ("A1:A2", "B1:E1", "A3:A5", "A6:A7", "C6:C7", "E3:E3"):
+        sheet.merge_cells(merged)
+    book.save(folder / "a.xlsx")
+    found = read_sheet("a.xlsx")
+    assert found.titles == ("J1 [deg]", "Nest", "X [mm]", "Y [mm]", "Note")
+    assert found.rows == (
+        ("1.5", "A", "2.5", "3.5", ""),
+        ("1.5", "B", "4.5", "5.5", "far"),
+        ("1.5", "C", "6.5", "7.5", ""),
+        ("8.5", "A", "9.5", "1.5", ""),
+    )
+    assert found.remarks == (
+        "3 cells filled with what is merged with them from above",
+        "1 row before the header passed over",
+    )
+
+
 def test_rows_with_few_cells_are_rows(folder: Path) -> None:
     """Points of which an exporter leaves most columns empty, below a line of its own and without a header."""
     rows = "P1,1.5,2.5,3.5,,,,,\nP2,4.5,5.5,6.5,,,,,\n"

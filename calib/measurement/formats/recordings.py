@@ -307,6 +307,8 @@ def _refuse_irregular(path: Path) -> None:
                 raise MeasurementError(f"{file}: no such file or folder.")
             if not (file.is_file() or (file.is_dir() and file != path)):
                 raise MeasurementError(f"{file}: is not a regular file.")
+        if path.is_file() and path.suffix != path.suffix.lower():
+            raise MeasurementError(f"{path}: call it {path.suffix.lower()}: rosbags reads no ending in capitals.")
         if path.is_dir() and not (path / "metadata.yaml").exists() and (names := _recorded(path)):
             raise MeasurementError(
                 f"{path}: has no metadata.yaml, as the recorder was not closed; give {listed(names)}, or let ros2 bag "

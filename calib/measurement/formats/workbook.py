@@ -1,10 +1,11 @@
 """The first sheet of a workbook (.xlsx) that is not hidden. Needs the package openpyxl."""
 
+import functools
 import io
 import re
 import warnings
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, BinaryIO
 from xml.etree.ElementTree import Element, iterparse
 
@@ -30,6 +31,7 @@ _LAST_ROW = 1_048_576
 _PLACE = re.compile(
     rb"""<(?:\w+:)?(?:row\s(?:[^<>]*?\s)?r=["'](\d{1,20})|c\s(?:[^<>]*?\s)?r=["']([A-Z]{1,3})\d{1,20})["']"""
 )
+_MERGED = re.compile(rb"""<(?:\w+:)?mergeCell\s(?:[^<>]*?\s)?ref=["']([A-Z]{1,3})(\d{1,7}):[A-Z]{1,3}(\d{1,7})["']""")
 _FILLED = re.compile(rb"<(?:\w+:)?(?:f|is|v)[\s/>]")
 _FORMULA = re.compile(rb"<(?:\w+:)?f[\s/>]")
 # openpyxl looks for dates in the format of every style, in a time that grows with the square of its length.
@@ -66,7 +68,7 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
             book = _opened(data)
             seen = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"] or book.worksheets[:1]
             first = next(filter(_is_filled, seen), seen[0])
-            rows = _rows(first, where)
+            rows, merged = _rows(first, where)
             # Not by openpyxl, which works out a shared formula for every cell that has it, however long it is.
             with first._get_source() as part:
                 uncomputed = _uncomputed(part) if formulas else ""
@@ -86,6 +88,8 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
         raise MeasurementError(f"{where}: has no rows.")
     others = [sheet.title for sheet in seen if sheet is not first]
     remarks = [f"the sheet {shown(first.title)} is read, and not {listed(others)}"] if others else []
+    if merged:
+        remarks.append(f"{counted(merged, 'cell')} filled with what is merged with them from above")
     if all(is_number(cell, ",") for cell in rows[0] if cell):
         return [f"column {k + 1}" for k in range(width)], rows, tuple(remarks)
     if header := header_of(rows[:_LOOKED_AT], ";"):
@@ -186,10 +190,14 @@ def _refuse_order(part: bytes, where: str) -> None:
         before = number
 
 
-def _rows(sheet: Any, where: str) -> list[list[str]]:
-    """Return the rows of a sheet that are not empty, each up to its last cell that is not."""
+def _rows(sheet: Any, where: str) -> tuple[list[list[str]], int]:
+    """Return the rows of a sheet that are not empty, each up to its last cell that is not.
+
+    A cell that is merged with those below stands in each of their rows; how many it fills is told.
+    """
     rows: list[list[str]] = []
-    width = looked_at = 0
+    width = looked_at = filled = 0
+    below = _Below.of(sheet)
     sheet.reset_dimensions()  # what a file says of its size may be less than it holds, or far more
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > _LAST_ROW:
@@ -203,6 +211,7 @@ def _rows(sheet: Any, where: str) -> list[list[str]]:
         while cells and not cells[-1]:
             cells.pop()
         if cells:
+            filled += below.fill(cells, number)
             rows.append(cells)
             width = max(width, len(cells))
         if width > _MOST_COLUMNS:
@@ -213,7 +222,40 @@ def _rows(sheet: Any, where: str) -> list[list[str]]:
             raise MeasurementError(f"{where}: has more than {_MOST_ROWS} rows.")
         if width * len(rows) > _MOST_VALUES:
             raise MeasurementError(f"{where}: has more than {_MOST_VALUES} cells.")
-    return rows
+    return rows, filled
+
+
+class _Below:
+    """Cells that are merged with those below: ``starts``, by row, their columns and last rows; ``now``, as walked."""
+
+    def __init__(self, starts: Mapping[int, Sequence[tuple[int, int]]]) -> None:
+        self._starts = starts
+        self._now: dict[int, tuple[int, str]] = {}
+
+    @classmethod
+    def of(cls, sheet: Any) -> "_Below":
+        """Return those of a sheet of openpyxl, which tells none of them where it only reads."""
+        starts: dict[int, list[tuple[int, int]]] = {}
+        with sheet._get_source() as part:
+            for column, first, last in _MERGED.findall(part.read().replace(b"\0", b"")):
+                k = functools.reduce(lambda k, letter: 26 * k + letter - ord("A") + 1, column, 0) - 1
+                if int(last) > int(first) and k < _MOST_COLUMNS:
+                    starts.setdefault(int(first), []).append((k, int(last)))
+        return cls(starts)
+
+    def fill(self, cells: list[str], number: int) -> int:
+        """Fill empty cells of a row, by its number; rows come in their order. Return how many."""
+        self._now = {k: (last, text) for k, (last, text) in self._now.items() if number <= last}
+        filled = 0
+        for k, (_, text) in self._now.items():
+            cells += [""] * (k + 1 - len(cells))
+            if not cells[k]:
+                cells[k] = text
+                filled += 1
+        for k, last in self._starts.get(number, ()):
+            if k < len(cells) and cells[k]:
+                self._now[k] = last, cells[k]
+        return filled
 
 
 def _uncomputed(part: BinaryIO) -> str:
