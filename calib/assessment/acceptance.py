@@ -10,41 +10,43 @@ itself estimated with nu degrees of freedom, T / n follows F(n, nu). Where bases
 found anew, in every set-up of the rows by itself, each takes six of them.
 """
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import scipy
 
+from calib.assessment.frames_anew import (
+    SIGNIFICANCE,
+    WAYS,
+    Anew,
+    frame_columns,
+    motion,
+    not_shown,
+    offset_alike,
+    realigned,
+)
 from calib.assessment.metrics import Metrics, metrics
-from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.chance import bound, exceeded
 from calib.foundations.errors import MeasurementError
-from calib.foundations.linear import one_thread, svd, triangle
+from calib.foundations.linear import one_thread, svd
 from calib.foundations.ranges import refuse_beyond
-from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors, residual_errors, row_freedom, row_noise
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.measurements import Measurements
-from calib.robot.robot import TipModel
 
-# A machine that has not changed is failed once in so many tests.
-SIGNIFICANCE = 0.01
-# Places that differ from one, or from a line, by less than a millionth of the reach.
-_NEARLY_IN_LINE = 1e-6
 # What a residual model gets wrong is common to its neighbours; of more rows so many are looked at together.
 _TOGETHER = 300
 # In m or rad: nothing is left of the square of less.
 _LEAST_NOISE = 1e-100
 # What else than columns tells the side of approach of rows by which a machine is verified.
 _IN_ORDER = "; rows in the order of measurement tell it, too: say in_order"
-# Entries of twists of length one that differ by rounding alone.
-_SAME_AXIS = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,29 +91,66 @@ class Judgement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FoundAnew:
+    """A judgement with frames found anew where they explain the rows best.
+
+    ``base_moved``, ``tool_moved``: by how much, in m (at their origin) and rad, where they moved most; None for what
+    stays, and where rows hardly tell which of both moved. ``or_offset_of``: where that explains what the machine as
+    calibrated does not, the reading of a joint whose offset, changed, would look the same, or None.
+    """
+
+    __repr__ = brief
+
+    judgement: Judgement
+    base_moved: tuple[float, float] | None
+    tool_moved: tuple[float, float] | None
+    or_offset_of: str | None
+
+    def contents(self) -> dict[str, Any]:
+        """Return the figures as plain data, in m and rad."""
+        return {
+            **self.judgement.contents(),
+            "base_moved": self.base_moved,
+            "tool_moved": self.tool_moved,
+            "or_offset_of": self.or_offset_of,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Verification:
     """New measurements of a calibrated machine. Made by :func:`verify`.
 
-    ``as_calibrated`` with the base where it was; ``base_refitted`` with the base found anew in every set-up of them,
-    None where rows are too few; ``base_moved``: by how much, in m (at the base's origin) and rad, where it moved most.
-    ``or_offset_of``: where a base that moved explains what the machine as calibrated does not, the reading of a joint
-    whose offset, changed, would look the same, or None. ``limit`` in m of every position error, or None. ``refit``:
-    which of the two decides.
+    ``as_calibrated`` with base and tool where they were; ``anew``: with the base found anew in every set-up of the
+    rows, the tool, or both, as far as the rows show them. ``limit`` in m of every position error, or None. ``refit``:
+    which of them decides, None where the machine is judged as it was calibrated.
     """
 
     __repr__ = brief
 
     as_calibrated: Judgement
-    base_refitted: Judgement | None
-    base_moved: tuple[float, float] | None
-    or_offset_of: str | None
+    anew: Mapping[Anew, FoundAnew]
     limit: float | None
-    refit: bool
+    refit: Anew | None
+
+    @property
+    def base_refitted(self) -> Judgement | None:
+        """The judgement with the base found anew; None where the rows do not show it."""
+        return self.anew["base"].judgement if "base" in self.anew else None
+
+    @property
+    def base_moved(self) -> tuple[float, float] | None:
+        """By how much the base alone would have moved, in m and rad."""
+        return self.anew["base"].base_moved if "base" in self.anew else None
+
+    @property
+    def or_offset_of(self) -> str | None:
+        """The reading of a joint whose offset, changed, would look the same as a base that explains the rows."""
+        return self.anew["base"].or_offset_of if "base" in self.anew else None
 
     @property
     def decisive(self) -> Judgement:
         """The judgement that decides."""
-        return self.base_refitted if self.refit and self.base_refitted is not None else self.as_calibrated
+        return self.as_calibrated if self.refit is None else self.anew[self.refit].judgement
 
     @property
     def within_limit(self) -> bool | None:
@@ -129,9 +168,10 @@ class Verification:
             "passed": self.passed,
             "limit": self.limit,
             "within_limit": self.within_limit,
-            "base_refitted": self.refit,
+            "base_refitted": self.refit in {"base", "both"},
+            "tool_refitted": self.refit in {"tool", "both"},
             "as_calibrated": self.as_calibrated.contents(),
-            "with_base_refitted": None if self.base_refitted is None else self.base_refitted.contents(),
+            **{f"with_{what}_refitted": self.anew[what].contents() if what in self.anew else None for what in WAYS},
             "base_moved": self.base_moved,
             "or_offset_of": self.or_offset_of,
         }
@@ -144,16 +184,21 @@ def verify(
     *,
     limit: float | None = None,
     refit: bool = False,
+    refit_tool: bool = False,
 ) -> Verification:
     """Judge new measurements of a calibrated machine by a limit in m, and by what it says of its own uncertainty.
 
-    ``refit``: find the base anew and judge with it, as after the instrument was moved. If the table does not state the
-    instrument's noise, that of the calibration is used.
+    ``refit``: find the base anew and judge with it, as after the instrument was moved; ``refit_tool``: find the tool
+    anew, as after another one was mounted. If the table does not state the instrument's noise, that of the calibration
+    is used.
 
     Raises JobError for a limit out of range; MeasurementError when the machine's uncertainty is not known, when a tool
     was not identified, when a joint term needs a condition that the rows do not have, when orientations are judged by a
-    calibration without any, or when the base is to be found anew from fewer than three positions or from positions that
-    do not determine it; RobotError when a loop does not close.
+    calibration without any, or when base or tool are to be found anew from fewer than three rows or from rows that do
+    not determine them; RobotError when a loop does not close.
+
+        found = calib.verify(machine, data, limit=0.3e-3, refit_tool=True)
+        found.passed, found.anew["tool"].tool_moved  # whether; in m and rad
     """
     if limit is not None:
         refuse_beyond(limit, "sigma", "limit")
@@ -165,27 +210,15 @@ def verify(
     refuse_lacking(machine.robot, data.conditions, data.where, _IN_ORDER)
     sigma = _sigma(machine, data)
     data.tips(machine.robot, machine.deviations)  # refuses rows whose loops do not close
-    as_calibrated = _judged(machine, data, sigma, base=False)
-    refitted, moved, alike, shown = None, None, None, True
-    places = [data.setup == k for k in np.unique(data.setup)]
-    fewest = min(int(np.count_nonzero(own)) for own in places)
-    enough = fewest >= 3 and data.sigma.size > 6 * len(places)
-    if enough and (shown := all(_shows_base(machine, data.subset(own)) for own in places)):
-        found = _realigned(machine, data)
-        refitted = _judged(found, data, sigma, base=True)
-        moved = max(_motion(base, found.bases[name]) for name, base in machine.bases.items())
-        if refitted.test.passed and not as_calibrated.test.passed:
-            alike = _offset_alike(machine, found, data, sigma)
-    elif refit and not shown:
-        raise MeasurementError(
-            f"{data.where}: all rows are at one place or in line, which do not show where the base is; it takes three "
-            "places."
-        )
-    elif refit:
-        few = next(data.setups[data.setup[own][0]] for own in places if np.count_nonzero(own) == fewest)
-        of_it = f" at set-up {few!r}" if len(places) > 1 else ""
-        raise MeasurementError(f"{data.where}: {fewest} rows{of_it} are too few to find the base anew; it takes three.")
-    return Verification(as_calibrated, refitted, moved, alike, limit, refit)
+    as_calibrated = _judged(machine, data, sigma, None)
+    wanted: Anew | None = ("both" if refit_tool else "base") if refit else "tool" if refit_tool else None
+    anew: dict[Anew, FoundAnew] = {}
+    for what in WAYS:
+        if (why := not_shown(machine, data, what)) is None:
+            anew[what] = _found_anew(machine, data, sigma, what, changed=not as_calibrated.test.passed)
+        elif what == wanted:
+            raise MeasurementError(f"{data.where}: {why}.")
+    return Verification(as_calibrated, MappingProxyType(anew), limit, wanted)
 
 
 def _of_this_machine(machine: CalibratedMachine, data: Measurements) -> Measurements:
@@ -213,51 +246,19 @@ def _sigma(machine: CalibratedMachine, data: Measurements) -> Array:
     return sigma
 
 
-def _realigned(machine: CalibratedMachine, data: Measurements) -> CalibratedMachine:
-    """Return the machine with its base, in every set-up of the rows, where it explains these best."""
-    tips = machine.tips(data.readings, data.conditions)
-    turned = np.full((len(data), 3, 3), np.nan) if data.orientation is None else data.orientation
-    tools = machine.state.frames.tools
-    assert data.position is not None, "positions and poses have one"
-    known, bases = KnownFrames(None, tools[:, :3, 3], tools[:, :3, :3]), machine.bases
-    for name, own in ((data.setups[k], data.setup == k) for k in np.unique(data.setup)):
-        rows = TipObservations(tips[own], data.position[own], turned[own], data.tool[own])
-        bases[name] = base_and_tools(rows, known, tools).base
-    return replace(machine, base=bases.pop(machine.setup), others=bases)
-
-
-def _motion(before: Array, after: Array) -> tuple[float, float]:
-    """Return by how much a base has moved, in m at its origin, and rad."""
-    change = rigid.inverse(before) @ after
-    return float(np.linalg.norm(change[:3, 3])), float(np.linalg.norm(rigid.log3(change[:3, :3])))
-
-
-def _offset_alike(machine: CalibratedMachine, found: CalibratedMachine, data: Measurements, sigma: Array) -> str | None:
-    """Return the reading whose offset, changed, moves the arm as all bases found anew; None without one."""
-    tips, by_reading = TipModel(machine.robot, machine.deviations).driven(data.readings, data.conditions)
-    # In the axes of the base a joint that nothing carries moves the tip about the same axis wherever it is.
-    twists = rigid.adjoint(tips) @ by_reading
-    twists /= np.maximum(np.linalg.norm(twists, axis=1, keepdims=True), np.finfo(float).tiny)
-    freedom = float(row_freedom(machine, data).min())
-    moves = []
-    with one_thread():
-        whitened = _whitening(found, data, sigma)
-        for k, columns in _base_columns(found, data, sigma).items():
-            change = rigid.inverse(machine.bases[data.setups[k]]) @ found.bases[data.setups[k]]
-            w = rigid.log3(change[:3, :3])
-            moves.append((whitened(columns), np.concatenate([rigid.left_jacobian_inverse(w) @ change[:3, 3], w])))
-        for j, reading in enumerate(machine.robot.readings):
-            twist = twists[0, :, j]
-            same_axis = np.allclose(twists[:, :, j], twist, rtol=0.0, atol=_SAME_AXIS)
-            if same_axis and all(_explains(B @ twist, B @ move, freedom) for B, move in moves):
-                return reading.name
-    return None
-
-
-def _explains(a: Array, b: Array, freedom: float) -> bool:
-    """Return whether a multiple of a (n,) explains b (n,), both whitened and of six numbers."""
-    rest = b - a * float(a @ b) / max(float(a @ a), np.finfo(float).tiny)
-    return bool(exceeded(float(rest @ rest), 5, freedom) >= SIGNIFICANCE)
+def _found_anew(
+    machine: CalibratedMachine, data: Measurements, sigma: Array, what: Anew, *, changed: bool
+) -> FoundAnew:
+    """Return the judgement with frames found anew; ``changed``: whether the machine as calibrated does not explain."""
+    found = realigned(machine, data, what)
+    judgement, alike = _judged(found, data, sigma, what), None
+    if changed and judgement.test.passed and what != "both":
+        with one_thread():
+            whitened = _whitening(found, data, sigma)
+            alike = offset_alike(
+                machine, found, data, what, lambda J: whitened((J / sigma[:, :, None]).reshape(sigma.size, -1))
+            )
+    return FoundAnew(judgement, *motion(machine, found, data, what), alike)
 
 
 def _whitening(machine: CalibratedMachine, data: Measurements, sigma: Array) -> Callable[[Array], Array]:
@@ -292,42 +293,19 @@ def _less_residual_errors(machine: CalibratedMachine, data: Measurements, sigma:
     return less
 
 
-def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, *, base: bool) -> Judgement:
+def _judged(machine: CalibratedMachine, data: Measurements, sigma: Array, what: Anew | None) -> Judgement:
+    """Judge the rows by a machine of which ``what`` was found anew from them."""
     r = machine.residuals(data)
     with one_thread():
         whitened = _whitening(machine, data, sigma)
         w, n = whitened((r / sigma).ravel()), r.size
-        if base:
-            B = whitened(np.concatenate([*_base_columns(machine, data, sigma).values()], axis=1))
-            w, n = w - B @ np.linalg.lstsq(B, w)[0], n - B.shape[1]
+        if what is not None:
+            B = whitened((frame_columns(machine, data, what) / sigma[:, :, None]).reshape(sigma.size, -1))
+            moved, _, rank, _ = np.linalg.lstsq(B, w)
+            w, n = w - B @ moved, n - int(rank)
         T = float(w @ w)
     return Judgement(
         dict(metrics([(data.kind, r)])),
         read_only(r),
         ChiSquare(T, n, float(exceeded(T, n, row_freedom(machine, data).min()))),
     )
-
-
-def _shows_base(machine: CalibratedMachine, data: Measurements) -> bool:
-    """Return whether the rows see every motion of the base: positions at one place, or in line, do not."""
-    B = _base_motion(machine, data).reshape(-1, 6)
-    B = B / np.repeat([1.0, machine.robot.reach], 3)
-    values = np.linalg.svd(triangle(B), compute_uv=False)
-    return bool(values[-1] > _NEARLY_IN_LINE * values[0])
-
-
-def _base_columns(machine: CalibratedMachine, data: Measurements, sigma: Array) -> dict[int, Array]:
-    """Return how residuals over sigma follow the base of every set-up (n, 6), which other rows do not follow."""
-    motion = _base_motion(machine, data) / sigma[:, :, None]
-    return {
-        int(k): np.where((data.setup == k)[:, None, None], motion, 0.0).reshape(-1, 6) for k in np.unique(data.setup)
-    }
-
-
-def _base_motion(machine: CalibratedMachine, data: Measurements) -> Array:
-    """Return the motions (N, 3 or 6, 6) of the tools for local twists of the base, as residuals count them."""
-    in_base = data.tips(machine.robot, machine.deviations) @ data.placed_by(machine.state.frames.tools)
-    local = rigid.adjoint(rigid.inverse(in_base))
-    placed = machine.state.frames.bases[data.setup] @ in_base
-    motion = np.concatenate([placed[:, :3, :3] @ local[:, :3], local[:, 3:]], axis=1)
-    return np.asarray(motion[:, : data.sigma.shape[1]])

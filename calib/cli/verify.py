@@ -25,6 +25,9 @@ def verify(
     refit_base: Annotated[
         bool, typer.Option("--refit-base", help="The instrument was moved: find the base anew.")
     ] = False,
+    refit_tool: Annotated[
+        bool, typer.Option("--refit-tool", help="Another tool is mounted: find the tool anew.")
+    ] = False,
     tool: Annotated[str | None, option("--tool", "NAME", "The tool that was measured.")] = None,
     setup: SetupName = None,
     in_order: Annotated[
@@ -85,6 +88,7 @@ def verify(
             data,
             limit=None if limit is None else parse_within(limit, RANGES["sigma"], "limit"),
             refit=refit_base,
+            refit_tool=refit_tool,
         )
         outside = outside_identified(machine, data.readings, data.loaded(machine.robot).conditions)
     telling.tell(

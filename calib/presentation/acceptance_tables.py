@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 from rich.text import Text
 
-from calib.assessment.acceptance import SIGNIFICANCE, ChiSquare, Verification
+from calib.assessment.acceptance import ChiSquare, FoundAnew, Verification
 from calib.assessment.drift import Comparison
+from calib.assessment.frames_anew import SIGNIFICANCE, Anew
 from calib.assessment.iso9283 import IsoFigure
 from calib.compensation.cell import CalibratedCell
 from calib.foundations.units import DEG, MM
@@ -15,6 +16,11 @@ from calib.presentation.sheets import SHOWN, figures_in, signed
 
 # So many times larger than stated are errors of which a test of few rows finds half, that it is said.
 _SURELY = 1.5
+_ELSEWHERE: dict[Anew, str] = {
+    "base": "the arm is as calibrated, but stands elsewhere",
+    "tool": "the arm is as calibrated, but carries another tool, or its tool elsewhere",
+    "both": "these rows do not show that the arm itself has changed",
+}
 # Three shifts and three turns.
 _ALL_DIRECTIONS = 6
 # Tips that differ by so many times of what is stated do so by no chance, of however few parameters.
@@ -22,13 +28,15 @@ _FAR = 3.0
 
 
 def verification_sheet(found: Verification) -> Sheet:
-    """Return the errors of new measurements, as calibrated and with the base found anew."""
+    """Return the errors of new measurements, as calibrated and with frames found anew."""
     rows = []
-    for when, judgement in (("as calibrated", found.as_calibrated), ("found anew", found.base_refitted)):
-        for m in () if judgement is None else judgement.metrics.values():
+    judgements = {"as calibrated": found.as_calibrated}
+    judgements |= {f"{what} found anew": anew.judgement for what, anew in found.anew.items()}
+    for when, judgement in judgements.items():
+        for m in judgement.metrics.values():
             shown = figures_in(m.unit, m.mean, m.rms, m.p95, m.max)
             rows.append(Row((when, str(m.n), *shown), strong=judgement is found.decisive))
-    columns = ("base", ">n", ">mean", ">rms", ">p95", ">max", "unit")
+    columns = ("frames", ">n", ">mean", ">rms", ">p95", ">max", "unit")
     return Sheet.of("Tip errors, measured minus predicted", columns, rows)
 
 
@@ -39,6 +47,8 @@ def verification_lines(found: Verification) -> list[str | Text]:
         largest = found.decisive.metrics["position"].max
         side = "is within" if found.within_limit else "exceeds"
         lines.append(f"The largest position error, {largest / MM:.4f} mm, {side} the limit, {found.limit / MM:g} mm.")
+    if found.refit is not None:
+        lines.append(f"Found anew: {_moved(found.anew[found.refit])}.")
     test = found.decisive.test
     lines.append(_tested(test))
     if test.passed and test.half_seen > _SURELY:
@@ -46,26 +56,48 @@ def verification_lines(found: Verification) -> list[str | Text]:
         lines.append(
             f"So few rows show little: with errors {times} times as large as stated, half of such tests would pass."
         )
-    anew = found.base_refitted
-    if anew is not None and found.base_moved is not None and not found.refit and not found.as_calibrated.test.passed:
-        shift, turn = found.base_moved
-        by = f"{shift / MM:.3f} mm and {turn / DEG:.4f} deg"
-        if anew.test.passed:
-            alike = (
-                f", or the offset of {found.or_offset_of!r} has changed, which looks the same"
-                if found.or_offset_of
-                else ""
-            )
-            lines.append(f"A base moved by {by} explains them: the arm is as calibrated, but stands elsewhere{alike}.")
-        else:
-            left = figures_in("m", anew.metrics["position"].rms)[0]
-            lines.append(
-                f"A base moved by {by} leaves {left} mm rms, more than the stated uncertainty explains: the arm "
-                "itself has changed, it bears a load or a temperature that was not told, or its uncertainty is stated "
-                "too small."
-            )
+    if not test.passed:
+        lines += _explained(found)
     lines.append(Text("Passed." if found.passed else "Failed.", style="bold green" if found.passed else "bold red"))
     return lines
+
+
+def _explained(found: Verification) -> list[str]:
+    """Return what explains rows that the stated uncertainty does not, or that nothing does."""
+    more: dict[Anew, FoundAnew] = {
+        what: anew for what, anew in found.anew.items() if found.refit is None or (what == "both" != found.refit)
+    }
+    enough = {what: anew for what, anew in more.items() if anew.judgement.test.passed}
+    if any(what != "both" for what in enough):
+        enough.pop("both", None)
+    lines = list[str]()
+    for what, anew in enough.items():
+        also, joint = " as well" if lines else "", anew.or_offset_of
+        alike = f", or the offset of {joint!r} has changed, which looks the same" if joint else ""
+        lines.append(f"{_as_subject(_moved(anew))} explains them{also}: {_ELSEWHERE[what]}{alike}.")
+    if more and not enough:
+        anew = list(more.values())[-1]
+        left = figures_in("m", anew.judgement.metrics["position"].rms)[0]
+        lines.append(
+            f"{_as_subject(_moved(anew))} leaves {left} mm rms, more than the stated uncertainty explains: the arm "
+            "itself has changed, it bears a load or a temperature that was not told, or its uncertainty is stated too "
+            "small."
+        )
+    return lines
+
+
+def _moved(anew: FoundAnew) -> str:
+    """Return by how much frames would have moved, in words."""
+    parts = []
+    for name, moved in (("a base", anew.base_moved), ("a tool", anew.tool_moved)):
+        if moved is not None:
+            turn = f" and {moved[1] / DEG:.4f} deg" if moved[1] else ""
+            parts.append(f"{name} moved by {moved[0] / MM:.3f} mm{turn}")
+    return ", with ".join(parts) or "a motion of base and tool together"
+
+
+def _as_subject(said: str) -> str:
+    return said[0].upper() + said[1:] + ("," if ", with " in said else "")
 
 
 def place_lines(found: CalibratedCell) -> list[str]:

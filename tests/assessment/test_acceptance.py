@@ -106,6 +106,132 @@ def test_a_shifted_zero_fails_and_a_moved_base_only_with_its_old_place() -> None
     assert verify(u, seen(elsewhere, 12, 7), refit=True).passed
 
 
+@pytest.mark.parametrize("observes", ["position", "pose"])
+def test_a_tool_that_moved_is_found_anew_and_said(observes: str) -> None:
+    _, true, _ = machine()
+    u = machine_of(calibrated(true, 1, observes))
+    remounted = replace(true, tools={"tool": true.tools["tool"] @ pose((1e-3, 0.0, 2e-3), (0.0, 0.02, 0.01))})
+    data = seen(remounted, 12, 7, observes)
+    standing, found = verify(u, data), verify(u, data, refit_tool=True)
+    assert (standing.passed, found.passed) == (False, True)
+    assert set(standing.anew) == {"base", "tool", "both"}
+    assert not standing.anew["base"].judgement.test.passed
+    tool = found.anew["tool"]
+    assert found.decisive is tool.judgement
+    numbers = 6 if observes == "pose" else 3
+    assert tool.judgement.test.degrees_of_freedom == 11 * numbers
+    assert found.anew["both"].judgement.test.degrees_of_freedom == 11 * numbers - 6
+    assert tool.base_moved is None
+    assert tool.tool_moved is not None
+    assert tool.tool_moved[0] == pytest.approx(np.hypot(1e-3, 2e-3), abs=1e-4)
+    assert tool.tool_moved[1] == pytest.approx(np.hypot(0.02, 0.01) if observes == "pose" else 0.0, abs=1e-4)
+    said = " ".join(map(str, verification_lines(standing)))
+    turn = " and 1.2" if observes == "pose" else " explains them: "
+    assert re.search(rf"A tool moved by 2\.[12]\d\d mm{turn}", said), said
+    assert "the arm is as calibrated, but carries another tool, or its tool elsewhere." in said
+    assert "the arm itself has changed" not in said
+    contents = found.contents()
+    assert (contents["base_refitted"], contents["tool_refitted"]) == (False, True)
+    assert contents["with_tool_refitted"]["tool_moved"] == tool.tool_moved
+
+
+def test_base_and_tool_are_found_anew_together() -> None:
+    """As after a year: a tracker on another stand, and a nest that was glued again."""
+    _, true, _ = machine()
+    u = machine_of(calibrated(true, 1))
+    other = replace(
+        true, base=anywhere(np.random.default_rng(9)), tools={"tool": true.tools["tool"] @ pose((1e-3, 0.0, 2e-3))}
+    )
+    data = seen(other, 12, 7)
+    base, both = verify(u, data, refit=True), verify(u, data, refit=True, refit_tool=True)
+    assert not base.passed
+    assert both.passed
+    found = str(verification_lines(both)[0])
+    assert re.fullmatch(
+        r"Found anew: a base moved by [\d.]+ mm and [\d.]+ deg, with a tool moved by 2\.\d+ mm\.", found
+    )
+    said = " ".join(map(str, verification_lines(base)))
+    assert re.search(
+        r"A base moved by [\d.]+ mm and [\d.]+ deg, with a tool moved by 2\.\d+ mm, explains them: these rows do not "
+        "show that the arm itself has changed.",
+        said,
+    ), said
+    bent = seen(with_zero(other, "elbow_joint", 1e-3), 12, 7)
+    said = " ".join(map(str, verification_lines(verify(u, bent, refit=True, refit_tool=True))))
+    assert said.endswith("Failed.")
+    assert "explains them" not in said
+
+
+def test_an_offset_of_the_last_joint_looks_like_a_tool_that_moved() -> None:
+    _, true, _ = machine()
+    for observes in ("position", "pose"):
+        u = machine_of(calibrated(true, 1, observes))
+        found = verify(u, seen(with_zero(true, "wrist_3_joint", 0.05), 12, 7, observes))
+        assert found.anew["tool"].or_offset_of == "wrist_3_joint"
+        said = " ".join(map(str, verification_lines(found)))
+        assert "or the offset of 'wrist_3_joint' has changed, which looks the same." in said
+        moved = replace(true, tools={"tool": true.tools["tool"] @ pose((0.0, 0.0, 2e-3))})
+        assert verify(u, seen(moved, 12, 7, observes)).anew["tool"].or_offset_of is None
+
+
+def test_one_of_several_tools_is_found_anew() -> None:
+    _, true, _ = machine()
+    true = replace(true, tools={"a": true.tools["tool"], "b": pose((0.0, -0.08, 0.1))})
+    robot, rng, arm = machines.load(*UR10), np.random.default_rng(3), machines.arm(*UR10)
+
+    def measured(true: Machine, points: list[str]) -> calib.Measurements:
+        return true.measure(robot, arm.draw(rng, len(points)), points=points, rng=rng, sigma=SIGMA)
+
+    model = calib.error_model(robot, offsets="all", placements="all", tool="position")
+    u = machine_of(calib.identify(model, measured(true, ["a", "b"] * 40)))
+    moved = replace(true, tools={"a": true.tools["a"], "b": pose((0.0, -0.08, 0.103))})
+    found = verify(u, measured(moved, ["a", "b"] * 10), refit_tool=True)
+    assert found.passed
+    tool = found.anew["tool"]
+    assert tool.tool_moved is not None
+    assert tool.tool_moved[0] == pytest.approx(3e-3, abs=1e-4)
+    assert tool.judgement.test.degrees_of_freedom == 60 - 6
+    few = measured(moved, ["a"] * 10 + ["b"] * 2)
+    with pytest.raises(MeasurementError, match="2 rows of the tool 'b' are too few to find the tool anew; it takes th"):
+        verify(u, few, refit_tool=True)
+
+
+def test_base_and_tool_that_look_alike_are_found_anew_without_a_number() -> None:
+    """Of a tip that turns about one axis alone, as that of a SCARA: a tool that moves along it looks like a base."""
+    _, true, arm = machine()
+    robot, rng = machines.load(*UR10), np.random.default_rng(5)
+    u = machine_of(calibrated(true, 1))
+    readings = arm.draw(rng, 12)
+    readings[:, 1:5] = [-1.0, 1.0, -np.pi / 2, -np.pi / 2]  # the last axis upright
+    other = replace(true, base=anywhere(rng), tools={"tool": true.tools["tool"] @ pose((1e-3, 0.0, 2e-3))})
+    found = verify(u, other.measure(robot, readings, rng=rng, sigma=SIGMA), refit=True, refit_tool=True)
+    assert found.passed
+    both = found.anew["both"]
+    assert (both.base_moved, both.tool_moved) == (None, None)
+    standing = verify(u, other.measure(robot, readings, rng=rng, sigma=SIGMA))
+    said = " ".join(map(str, verification_lines(standing)))
+    assert "A motion of base and tool together explains them: these rows do not show that the arm" in said
+
+
+def test_a_tool_is_not_found_anew_by_points_of_rows() -> None:
+    _, true, _ = machine()
+    data = replace(seen(true, 12, 8), points=np.tile([0.0, 0.0, 0.01], (12, 1)))
+    with pytest.raises(MeasurementError, match="every row has a point of its own in the tool's frame"):
+        verify(machine_of(calibrated(true, 1)), data, refit_tool=True)
+
+
+def test_the_base_is_found_anew_by_points_of_rows() -> None:
+    """What a line scanner saw, at a point in the tool's frame that differs from row to row."""
+    _, true, arm = machine()
+    robot, rng = machines.load(*UR10), np.random.default_rng(5)
+    u = machine_of(calibrated(true, 1, "pose"))
+    elsewhere, readings, points = replace(true, base=anywhere(rng)), arm.draw(rng, 20), rng.normal(0.0, 0.02, (20, 3))
+    frames = elsewhere.see(readings)
+    at = frames[:, :3, 3] + np.einsum("nij,nj->ni", frames[:, :3, :3], points) + rng.normal(0.0, SIGMA, (20, 3))
+    data = replace(elsewhere.measure(robot, readings, rng=rng, sigma=SIGMA), position=at, points=points)
+    assert verify(u, data, refit=True).passed
+
+
 def test_the_limit_is_one_of_every_error() -> None:
     _, true, _ = machine()
     u, data = machine_of(calibrated(true, 1)), seen(true, 12, 8)
