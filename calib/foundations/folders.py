@@ -155,6 +155,12 @@ def refuse_unwritable(path: Path) -> None:
         for folder in (parent, path):
             if folder.exists() and not os.access(folder, os.W_OK | os.X_OK):
                 raise OutputError(f"{path}: cannot be written, as {folder} is read-only.")
+        os.umask(mask := os.umask(0o077))  # it is told by setting it alone
+        if mask & stat.S_IRWXU and os.geteuid() != 0:
+            raise OutputError(
+                f"{path}: cannot be written, as the umask {mask:04o} takes the permissions of what is made from its "
+                "own user; set another one: umask 022."
+            )
 
 
 def refuse_kept(path: Path) -> None:

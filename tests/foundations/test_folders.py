@@ -80,6 +80,22 @@ def test_a_hidden_folder_that_cannot_be_entered_does_not_stay(tmp_path: Path, mo
     assert names(tmp_path) == []
 
 
+@pytest.mark.parametrize("umask", [0o777, 0o400, 0o200, 0o100])
+def test_a_umask_that_takes_the_users_own_permissions_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, umask: int
+) -> None:
+    """Else a fleet would start processes that cannot speak to each other, and show the traceback of every one."""
+    before = os.umask(umask)
+    try:
+        monkeypatch.setattr(os, "geteuid", lambda: 0)
+        refuse_unwritable(tmp_path / "out")
+        monkeypatch.setattr(os, "geteuid", lambda: 1000)
+        with pytest.raises(OutputError, match=f"the umask {umask:04o} takes"):
+            refuse_unwritable(tmp_path / "out")
+    finally:
+        assert os.umask(before) == umask
+
+
 @pytest.mark.parametrize("umask", [0o077, 0o022, 0o002])
 def test_folders_and_files_obey_the_umask(tmp_path: Path, umask: int) -> None:
     before = os.umask(umask)
