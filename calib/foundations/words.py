@@ -9,6 +9,8 @@ from calib.foundations.errors import CalibError, JobError
 LONGEST_SHOWN = 60
 # Characters that turn round what follows them, numbers as well: embeddings, overrides and isolates of directions.
 _TURNING = {code: f"\\u{code:04x}" for code in (*range(0x202A, 0x202F), *range(0x2066, 0x206A))}
+# Controls, but for tabs and line ends: a terminal obeys those that begin with ESC or CSI.
+_CONTROLS = {code: f"\\x{code:02x}" for code in (*range(0x20), *range(0x7F, 0xA0)) if chr(code) not in "\t\n"}
 # Likeness takes time with the square of the length, and is asked of every known word.
 _LONGEST_COMPARED = 100
 _MOST_COMPARED = 1000
@@ -87,6 +89,6 @@ def apart(text: str) -> str:
     )
 
 
-def unturned(text: str) -> str:
-    """Return a page with an escape for every character that would turn round the words or numbers after it."""
-    return text.translate(_TURNING)
+def harmless(text: str) -> str:
+    """Return a file to be looked at with an escape for what turns round the words after it, or commands a terminal."""
+    return text.translate(_TURNING | _CONTROLS)

@@ -22,7 +22,7 @@ from calib.foundations.files import LARGEST_JSON, read_bytes, sentences
 from calib.foundations.folders import reading_folder, real_folder, refuse_kept, refuse_unwritable, write_folder
 from calib.foundations.json_text import NotJsonError, document, parse_json, validated
 from calib.foundations.units import DEG, MM
-from calib.foundations.words import shown
+from calib.foundations.words import harmless, shown
 from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
@@ -382,7 +382,7 @@ def residual_table(found: Calibration) -> str:
                 row |= {f"{when}_{title}": _shown(value, title) for title, value in zip(own, r[n], strict=False)}
             errors = (row.get(title, "") for title in titles)
             rows.append([judged.use, judged.file, line, data.tools[data.tool[n]], *errors])
-    return csv_text(rows)
+    return harmless(csv_text(rows))
 
 
 def _columns_of(kind: Kind) -> tuple[str, ...]:

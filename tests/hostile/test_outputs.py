@@ -11,7 +11,11 @@ import pytest
 
 from calib.foundations.csv_text import csv_cell, csv_text, has_formula
 from calib.foundations.errors import RobotError
+from calib.foundations.json_text import document
+from calib.job.fleet_summary import summary, summary_csv
 from calib.measurement.read import read_measurements
+from calib.presentation.fleet_tables import JobLine, fleet_report
+from calib.presentation.report.page import render_page
 from calib.robot.load import load_robot
 from calib.robot.urdf import parse_urdf
 from tests.support.cases import CASE, JOB, TABLE, URDF, Said, copy_case, edit, run
@@ -80,6 +84,18 @@ def test_reports_read_from_left_to_right(results: tuple[Path, Said]) -> None:
         text = (results[0] / name).read_text(encoding="utf-8")
         assert "\\u202e" in text
         assert not re.search("[\u202a-\u202e\u2066-\u2069]", text)
+
+
+def test_files_to_be_looked_at_command_no_terminal(results: tuple[Path, Said]) -> None:
+    """Who shows them in a terminal, by ``cat`` or ``less -r``, would have it obey a name."""
+    for name in ("report.html", "report.md", "scene.html", "residuals.csv", "calibrated.urdf"):
+        text = (results[0] / name).read_text(encoding="utf-8")
+        assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", text), name
+    evil = f"jobs/a{TERMINAL}.toml"
+    failed = JobLine(evil, evil, "failed", (evil,))
+    for text in (summary_csv([failed]), render_page(fleet_report([failed])), document(summary([failed]))):
+        assert "x1b[31m" in text or "u001b[31m" in text
+        assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202e]", text)
 
 
 def test_the_terminal_takes_no_orders(results: tuple[Path, Said]) -> None:

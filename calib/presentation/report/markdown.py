@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 
-from calib.foundations.words import unturned
+from calib.foundations.words import harmless
 from calib.presentation.report.document import Block, Prose, Report, Row, Sheet
 
 # What Markdown or HTML in it would take for its own; an underscore inside a word is a letter.
@@ -22,7 +22,7 @@ def render_markdown(report: Report) -> str:
         parts.append(f"## {_plain(section.title)}")
         for block in section.blocks:
             parts += _block(block, section.title)
-    return unturned("\n\n".join(parts)) + "\n"
+    return harmless("\n\n".join(parts)) + "\n"
 
 
 def _block(block: Block, above: str) -> Iterator[str]:

@@ -3,7 +3,7 @@
 import base64
 import hashlib
 
-from calib.foundations.words import unturned
+from calib.foundations.words import harmless
 from calib.presentation.page_files import page_file, template
 from calib.presentation.report.document import Report, Sheet
 
@@ -15,7 +15,7 @@ def render_page(report: Report) -> str:
     """
     script = page_file("sorting.js") if _sortable(report) else ""
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return unturned(template("report.html.jinja").render(report=report, script=script, digest=digest)) + "\n"
+    return harmless(template("report.html.jinja").render(report=report, script=script, digest=digest)) + "\n"
 
 
 def _sortable(report: Report) -> bool:
