@@ -26,6 +26,7 @@ from calib.identification.initialisation.base_and_tools import (
 from calib.identification.initialisation.carried import Carried
 from calib.identification.initialisation.lenses import with_found_lenses
 from calib.identification.initialisation.target_poses import NEGLIGIBLE, centre, with_targets
+from calib.identification.initialisation.touched_balls import touched_with
 from calib.identification.machine import Frames, Machine
 from calib.measurement.kinds import Kind
 from calib.measurement.measurements import Measurements, numbered
@@ -51,7 +52,8 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine |
     """Return bases, tools and targets that explain sets with common names best with the nominal robot.
 
     What is fixed or known stays as given, a base with a prior where the prior has it. ``begun``: a machine whose robot
-    is taken in the place of the nominal one, and whose set-ups, tools and scalars, the first of the names, stay.
+    is taken in the place of the nominal one, and whose set-ups, tools and scalars, the first of the names, stay; but
+    tools that balls alone tell may be clearly better elsewhere.
 
     Raises MeasurementError where nothing shows where the base of a set-up is.
     """
@@ -90,6 +92,8 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine |
         at = at._replace(bases=bases, tools=tools, placed=at.placed | by_cameras)
     if model.tool != "fixed" and not at.placed.all():
         at = at._replace(tools=_turned_in_sockets(model, carried, at))
+    if model.tool != "fixed":
+        at = at._replace(tools=_touched(model, carried, at))
     if not at.stands.all():
         at = _by_targets(model, carried, at)
     return Initialisation(with_targets(model, carried, Frames(at.bases, at.tools)), unshown)
@@ -187,6 +191,23 @@ def _together(
         if moved < _CLOSE:
             break
     return (at._replace(bases=bases, tools=tools), ~shown) if shown.all() else (at, sought)
+
+
+def _touched(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> Array:
+    """Return the tools with those that touches of balls alone tell where these put them."""
+    sets = [one.data for one in carried]
+    tips = [_at_points(one.seen(at.bases), one.data, at.tools) for one in carried]
+    known: list[list[Array | None]] = []
+    for one in carried:
+        names = [one.data.targets[t] if t >= 0 else "" for t in one.data.target]
+        told = at.stands[one.data.setup] | one.on_links
+        known.append(
+            [
+                model.targets[name].pose[:3, 3] if there and name in model.targets else None
+                for name, there in zip(names, told, strict=True)
+            ]
+        )
+    return touched_with(sets, tips, at.tools, np.flatnonzero(~at.placed | at.begun), known)
 
 
 def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _Placed:

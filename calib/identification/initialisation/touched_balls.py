@@ -1,0 +1,128 @@
+"""Tool points that only touches of balls tell: the probe's place on the tip, on the side from which it touched.
+
+About a ball that is touched with the probe towards its middle, the tip turns as about a socket in the middle: what
+stays is not the probe but a point a radius before it. A search from there, where all touches are at the middle of the
+ball, ends on a side that chance chose. So the probe is sought a radius off that point in every direction, each time
+with the balls where these touches put them, and the place that fits clearly best is taken.
+"""
+
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.foundations.arrays import Array, IntArray, read_only
+from calib.identification.initialisation.target_poses import centre
+from calib.measurement.measurements import Measurements, numbered
+
+# Another place fits clearly better with a sum of squares below this share.
+_CLEARLY = 0.5
+_STEPS, _NO_STEP = 30, 1e-7
+# More touches of a ball do not tell its side better.
+_ENOUGH = 100
+# Directions to all sides: to the faces, edges and corners of a cube.
+_SIDES = read_only(np.array([np.array(d) / np.linalg.norm(d) for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]))
+
+
+class _Touches(NamedTuple):
+    """Touches of one ball: tips (n, 4, 4) at the rows' points, radii (n,), and its middle (3,) where that is known."""
+
+    data: Measurements
+    tips: Array
+    radius: Array
+    known: Array | None
+
+    def seen(self, point: Array) -> Array:
+        """Return where touches (n, 3) are with the tool at ``point``."""
+        return np.asarray(self.tips[:, :3, :3] @ point + self.tips[:, :3, 3])
+
+
+class _End(NamedTuple):
+    """Where a search for a point (3,) has led, with the sum of squares there."""
+
+    point: Array
+    squares: float
+
+
+def touched_with(
+    sets: Sequence[Measurements],
+    tips: Sequence[Array],
+    tools: Array,
+    sought: IntArray,
+    known: Sequence[Sequence[Array | None]],
+) -> Array:
+    """Return tools (k, 4, 4) with those ``sought`` where touches of balls alone put them; others as they were.
+
+    ``tips`` (N, 4, 4) of every set at the rows' points, as their targets see them; ``known``: where the target of each
+    row is, None where that is to be found.
+    """
+    found = tools.copy()
+    for k in sought:
+        own = [one for one in zip(sets, tips, known, strict=True) if np.any(one[0].tool == k)]
+        if any(data.kind != "sphere" or data.uses for data, *_ in own):
+            continue
+        balls = [ball for data, T, there in own for ball in _balls(data, T, there, int(k))]
+        if balls:
+            found[k, :3, 3] = _best(balls, tools[k, :3, 3])
+    return found
+
+
+def _balls(data: Measurements, tips: Array, known: Sequence[Array | None], tool: int) -> list[_Touches]:
+    rows = np.flatnonzero(data.tool == tool)
+    # The same ball is elsewhere in the base of another set-up, which may not be known yet.
+    both = data.target[rows] * (1 + len(data.setups)) + data.setup[rows]
+    found = []
+    for _, own in numbered(both):
+        some = rows[own[:: -(-len(own) // _ENOUGH)]]
+        found.append(_Touches(data.subset(some), tips[some], data.value[some, 0], known[some[0]]))
+    return found
+
+
+def _best(balls: Sequence[_Touches], start: Array) -> Array:
+    """Return the point (3,) of the tool that fits best of all that are a radius off a start; the start if none does."""
+    size = float(np.mean(np.concatenate([ball.radius for ball in balls])))
+    best = _sought(balls, start, held=True)
+    ends = [_sought(balls, start + size * side) for side in (np.zeros(3), *_SIDES)]
+    for end in (ends[0], min(ends, key=lambda end: end.squares)):
+        best = end if end.squares < _CLEARLY * best.squares else best
+    return best.point
+
+
+def _sought(balls: Sequence[_Touches], start: Array, *, held: bool = False) -> _End:
+    """Return the point (3,) to which a search leads that begins at a start, or stays there where it is ``held``."""
+    unknown = [g for g, ball in enumerate(balls) if ball.known is None]
+    at = {g: 3 + 3 * k for k, g in enumerate(unknown)}
+    x = np.concatenate([start, *(centre([(b.data, b.seen(start), b.data.value)]) for b in balls if b.known is None)])
+    damping = 1e-3
+    r, J = _missed(balls, x, at)
+    for _ in range(_STEPS):
+        if held:
+            J[:, :3] = 0.0
+        A = J.T @ J
+        step = -np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-9), J.T @ r)
+        there = _missed(balls, x + step, at)
+        if there[0] @ there[0] < r @ r:
+            x, (r, J), damping = x + step, there, max(0.1 * damping, 1e-9)
+        else:
+            damping *= 10.0
+        if np.abs(step).max() < _NO_STEP:
+            break
+    return _End(x[:3], float(r @ r))
+
+
+def _missed(balls: Sequence[_Touches], x: Array, at: dict[int, int]) -> tuple[Array, Array]:
+    """Return by how much touches miss their balls (n,), and the derivatives (n, p) by x (p,): point, then middles."""
+    values, rows = [], []
+    for g, ball in enumerate(balls):
+        middle = ball.known if ball.known is not None else x[at[g] : at[g] + 3]
+        off = ball.seen(x[:3]) - middle
+        far = np.maximum(np.linalg.norm(off, axis=1), 1e-9)
+        n = off / far[:, None]
+        J = np.zeros((len(off), len(x)))
+        J[:, :3] = np.einsum("ni,nij->nj", n, ball.tips[:, :3, :3])
+        if ball.known is None:
+            J[:, at[g] : at[g] + 3] = -n
+        values.append(far - ball.radius)
+        rows.append(J)
+    return np.concatenate(values), np.concatenate(rows)
