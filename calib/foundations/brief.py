@@ -12,7 +12,7 @@ _LISTED = 4
 
 def brief(thing: object) -> str:
     """Return ``<Name field=value, ...>`` of a dataclass, on less than a screen: its ``__repr__``."""
-    names = [field.name for field in fields(thing)] if is_dataclass(thing) else []
+    names = [field.name for field in fields(thing) if field.repr] if is_dataclass(thing) else []
     shown = [f"{name}={_shown(getattr(thing, name))}" for name in names]
     text = f"<{type(thing).__name__} {', '.join(shown)}>"
     return text if len(text) <= _ALL else text[: _ALL - 4] + "...>"

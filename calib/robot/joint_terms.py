@@ -185,10 +185,12 @@ def _units(robot: Robot) -> dict[str, tuple[int, Array]]:
 
 def _bodies(robot: Robot) -> tuple[Body, ...]:
     """Return the masses of all links that the chain carries."""
-    index = {robot.urdf.joint(joint.name).child: i for i, joint in enumerate(robot.chain)}
+    placed: dict[str, tuple[int, Array] | None] = {
+        robot.urdf.joint(joint.name).child: (i, np.eye(4)) for i, joint in enumerate(robot.chain)
+    }
     bodies: list[Body] = []
     for link, (mass, centre, inertia) in inertials(robot.urdf).items():
-        if mass > 0.0 and (place := _place(robot, link, index)) is not None:
+        if mass > 0.0 and (place := _place(robot, link, placed)) is not None:
             joint, T = place
             R = T[:3, :3]
             bodies.append(Body(joint, mass, read_only(R @ centre + T[:3, 3]), read_only(R @ inertia @ R.T)))
@@ -210,33 +212,48 @@ def _payload(robot: Robot) -> tuple[Body, ...]:
     return (Body(at, payload.mass, read_only(payload.position), inertia),) if at >= 0 else ()
 
 
-def _place(robot: Robot, link: str, index: dict[str, int]) -> tuple[int, Array] | None:
-    """Return the joint of the chain that carries a link, and the link (4, 4) in its; None where the base carries it."""
-    T, at = np.eye(4), link
-    while at not in index:
+def _place(robot: Robot, link: str, placed: dict[str, tuple[int, Array] | None]) -> tuple[int, Array] | None:
+    """Return the joint of the chain that carries a link, and the link (4, 4) in its; None where the base carries it.
+
+    ``placed``: those that are known, to which all on the way are added.
+    """
+    way: list[UrdfJoint] = []
+    at = link
+    while at not in placed:
         joint = robot.urdf.parent_joint(at)
         if joint is None or at == robot.base:
-            return None
+            placed[at] = None
+            break
         if joint.type != "fixed" and _reading(robot, joint) is not None:
             raise RobotError(
                 f"{robot.urdf.where}:{joint.line}: link {link!r} moves with the reading {_reading(robot, joint)!r} but "
                 "not on the way to the tip, and what it weighs there is not known; close its loop."
             )
-        T, at = joint.origin @ T, joint.parent
-    return index[at], T
+        way.append(joint)
+        at = joint.parent
+    found = placed[at]
+    for joint in reversed(way):
+        found = None if found is None else (found[0], found[1] @ joint.origin)
+        placed[joint.child] = found
+    return found
 
 
 def weighed_at_zero(robot: Robot) -> frozenset[str]:
     """Return the names of joints that carry masses on the chain, and are no part of it: they are taken at zero."""
-    carriers = {robot.urdf.joint(joint.name).child for joint in robot.chain}
+    carried = {robot.urdf.joint(joint.name).child: True for joint in robot.chain}
     found: set[str] = set()
     for link, (mass, _, _) in inertials(robot.urdf).items():
-        joints: list[UrdfJoint] = []
+        if not mass > 0.0:
+            continue
+        way: list[UrdfJoint] = []
         at = link
-        while at not in carriers and (joint := robot.urdf.parent_joint(at)) is not None:
-            joints, at = [*joints, joint], joint.parent
-        if mass > 0.0 and at in carriers:
-            found.update(joint.name for joint in joints if joint.type != "fixed")
+        while at not in carried and (joint := robot.urdf.parent_joint(at)) is not None:
+            way.append(joint)
+            at = joint.parent
+        on_chain = carried.get(at, False)
+        carried |= {joint.child: on_chain for joint in way}
+        if on_chain:
+            found.update(joint.name for joint in way if joint.type != "fixed")
     return frozenset(found)
 
 

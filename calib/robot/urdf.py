@@ -9,7 +9,7 @@ one sentence.
 import math
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple, cast, get_args
 
@@ -87,19 +87,24 @@ class Urdf:
     joints: tuple[UrdfJoint, ...]
     source: bytes
     where: str
+    _by_name: Mapping[str, UrdfJoint] = field(init=False, repr=False)
+    _by_child: Mapping[str, UrdfJoint] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_by_name", {joint.name: joint for joint in self.joints})
+        object.__setattr__(self, "_by_child", {joint.child: joint for joint in self.joints})
 
     def joint(self, name: str) -> UrdfJoint:
         """Return the joint called ``name``, or raise RobotError with the names that are near."""
-        for joint in self.joints:
-            if joint.name == name:
-                return joint
+        if name in self._by_name:
+            return self._by_name[name]
         raise RobotError(f"{self.where}: there is no joint {shown(name)}{_hint(name, [j.name for j in self.joints])}")
 
     def parent_joint(self, link: str) -> UrdfJoint | None:
         """Return the joint that carries ``link``, None for the root; raise RobotError when there is no such link."""
-        if link not in self.links:
+        if link != self.root and link not in self._by_child:
             raise RobotError(f"{self.where}: there is no link {shown(link)}{_hint(link, self.links)}")
-        return next((joint for joint in self.joints if joint.child == link), None)
+        return self._by_child.get(link)
 
 
 class Inertial(NamedTuple):

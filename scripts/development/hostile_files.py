@@ -37,6 +37,7 @@ from calib.job.stated import load_arm
 from calib.machine.gaussian import GaussianResiduals, Kernel, gaussian_bytes
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
+from calib.robot.urdf import MOST_LINKS
 from tests.support import cameras, machines, streams
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -158,6 +159,23 @@ def _chain(n: int) -> str:
         )
         + "</robot>"
     )
+
+
+def _masses(folder: Path, size: int) -> None:
+    """Hang a row of masses on a link, each following the one before, as many as a URDF may have; drives give way."""
+    path = folder / "arm_cmm.urdf"
+    mass, follows = '<inertial><mass value="1"/></inertial>', '<mimic joint="m{}"/>'
+    row = repeated(
+        lambda k: (
+            f'<link name="{k:0200d}">{mass}</link><joint name="m{k}" type="continuous"><parent link="'
+            f'{f"{k - 1:0200d}" if k else "link_2"}"/><child link="{k:0200d}"/>'
+            f"{follows.format(k - 1) if k else ''}</joint>\n"
+        ),
+        size,
+    )
+    many = "".join(row.splitlines(keepends=True)[: MOST_LINKS - 20])
+    path.write_text(path.read_text(encoding="utf-8").replace("</robot>", many + "</robot>"), encoding="utf-8")
+    _edited(folder / "calibration.toml", "[[measurements]]", 'elastic = "all"\n[[measurements]]')
 
 
 def _long_arm(folder: Path, size: int) -> None:
@@ -1337,6 +1355,7 @@ HOSTILE: dict[str, Hostile] = {
             folder / "arm_cmm.urdf", "</robot>", "<e " + repeated(lambda k: f'a{k}="" ', size) + "/></robot>"
         )
     ),
+    "masses that follow": Hostile(_masses),
     "a long arm": Hostile(_long_arm),
     "a fork of fingers": Hostile(_fork, ("check", "fork.urdf", "fork.csv")),
     "collision shapes": Hostile(

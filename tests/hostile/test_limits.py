@@ -24,6 +24,7 @@ from calib.presentation import meshes, scene
 from calib.presentation.meshes import simplified
 from calib.presentation.thin_meshes import ThinMesh, thin_mesh
 from calib.presentation.visuals import MOST_SHAPES, visuals
+from calib.robot import joint_terms
 from calib.robot.links import arm_of, link_placements
 from calib.robot.load import load_robot
 from calib.robot.mesh_counts import MOST_CORNERS, MOST_PARTS, counts
@@ -306,6 +307,46 @@ def test_joints_that_follow_each_other_are_followed_once(monkeypatch: pytest.Mon
     (arm,) = chains(document)
     assert arm.joints == ("j0",)
     assert len(arm.others) == 149
+
+
+def test_a_link_or_joint_is_found_by_its_name_alone() -> None:
+    """A joint was compared with all others, for each of those that it follows."""
+    document = parse_urdf(one_by_one(300), "row.urdf")
+    compared = list[str]()
+
+    class Counted(str):
+        __slots__ = ()
+        __hash__ = str.__hash__
+
+        def __eq__(self, other: object) -> bool:
+            compared.append(str(other))
+            return str.__eq__(self, other)
+
+    assert document.joint(Counted("j299")).child == "l300"
+    parent = document.parent_joint(Counted("l300"))
+    assert parent is not None
+    assert parent.name == "j299"
+    assert len(compared) < 10
+
+
+@pytest.mark.parametrize("kind", ["fixed", "continuous"])
+def test_masses_beside_the_arm_are_placed_once(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A minute and more went into finding each of a row of masses from the arm again, and whom each of them follows."""
+    n = 200
+    mass = '<inertial><origin xyz="0 0 0.5"/><mass value="1"/></inertial>'
+    row = "".join(
+        f'<link name="m{k}">{mass}</link><joint name="k{k}" type="{kind}"><parent link="{f"m{k - 1}" if k else "l2"}"/>'
+        f'<child link="m{k}"/><origin xyz="0.1 0 0"/>{f"""<mimic joint="k{k - 1}"/>""" if k else ""}</joint>'
+        for k in range(n)
+    )
+    robot = load_robot(parse_urdf(one_by_one(3).replace(b"</robot>", row.encode() + b"</robot>"), "row.urdf"), "l3")
+    asked, real = list[str](), Urdf.parent_joint
+    monkeypatch.setattr(Urdf, "parent_joint", lambda urdf, link: (asked.append(link), real(urdf, link))[1])
+    bodies = joint_terms._bodies(robot)
+    assert [(body.joint, body.mass) for body in bodies] == [(1, 1.0)] * n
+    np.testing.assert_allclose([body.centre for body in bodies], [[0.1 * (k + 1), 0.0, 0.5] for k in range(n)])
+    assert len(joint_terms.weighed_at_zero(robot)) == (0 if kind == "fixed" else n)
+    assert len(asked) <= 2 * n
 
 
 def test_names_of_columns_are_taken_apart_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
