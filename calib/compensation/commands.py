@@ -14,7 +14,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.choices import PoseFrame, What
 from calib.foundations.errors import JobError
-from calib.foundations.ranges import refuse_beyond
+from calib.foundations.ranges import are_numbers, refuse_beyond
 from calib.foundations.words import not_calibrated
 from calib.machine.calibrated import CalibratedMachine, refuse_unfollowed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
@@ -89,7 +89,7 @@ def for_poses(
     poses = np.asarray(poses, dtype=np.float64)
     if poses.shape[1:] not in ((4, 4), (3,)):
         raise JobError(f"the poses have the shape {poses.shape}; allowed are (N, 4, 4), and (N, 3) for positions.")
-    if not np.isfinite(poses).all():
+    if not are_numbers(poses):
         raise JobError("the poses must be finite numbers.")
     places = poses if poses.ndim == 2 else poses[:, :3, 3]
     if len(places):
@@ -166,7 +166,7 @@ def _start(model: CalibratedMachine, readings: Array) -> Array:
     k = len(model.robot.readings)
     if readings.ndim != 2 or readings.shape[1] != k:
         raise JobError(f"the readings have the shape {readings.shape}; allowed is (N, {k}), a column for each joint.")
-    if not np.isfinite(readings).all():
+    if not are_numbers(readings):
         raise JobError("the readings must be finite numbers.")
     return readings
 

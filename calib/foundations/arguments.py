@@ -139,8 +139,8 @@ def _test(hint: Any) -> _Test:
         return lambda value: value is None
     if hint is float:
         return lambda value: not isinstance(value, bool) and isinstance(value, Real) and _is_float(value)
-    if hint is int:
-        return lambda value: not isinstance(value, bool) and isinstance(value, Integral)
+    if hint is int:  # one that no float holds is no count of anything, and one of thousands of digits cannot be told
+        return lambda value: not isinstance(value, bool) and isinstance(value, Integral) and _is_float(value)
     if hint is bool:
         return lambda value: isinstance(value, bool | np.bool_)
     return (lambda value: isinstance(value, hint)) if isinstance(hint, type) else _anything
@@ -246,6 +246,8 @@ def _told(value: object) -> str:
         if 0 < len(text) <= LONGEST_SHOWN:
             return text
     name = type(value).__name__
+    if isinstance(value, int):
+        return f"a whole number of {value.bit_length()} bits, too large"
     if isinstance(value, np.ndarray):
         kind = "a masked array" if _is_masked(value) else "a matrix" if _is_odd(value) else "an array"
         return f"{kind} of {value.dtype}"

@@ -118,6 +118,9 @@ OF_DIMENSION: Mapping[Dimension, Range] = MappingProxyType(
 # A cell that is nearer to 0 in SI units, and not 0, comes from memory that nobody wrote to; its inverse is no number.
 SMALLEST_CELL = 1e-100
 
+# An argument that is farther from 0 in SI units, as its square is no number.
+LARGEST = 1.0 / SMALLEST_CELL
+
 # How many of what a job may have.
 COUNTS: Mapping[str, int] = MappingProxyType(
     {
@@ -166,8 +169,8 @@ def refuse_shape(values: Array, shape: tuple[int | None, ...], where: str, error
     if values.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, values.shape, strict=True)):
         needed = ", ".join("any" if n is None else str(n) for n in shape)
         raise error(f"{where} has the shape {values.shape}; needed is ({needed}).")
-    if not np.isfinite(values).all():
-        raise error(f"{where} has numbers that are not finite.")
+    if not are_numbers(values):
+        raise error(f"{where} has numbers that are not finite, or above {LARGEST:g}.")
 
 
 def finite(
@@ -178,9 +181,14 @@ def finite(
     fits = found.ndim == len(shape) and all(
         there == wanted or (wanted is None and there > 0) for there, wanted in zip(found.shape, shape, strict=True)
     )
-    if not (fits and np.isfinite(found).all()):
+    if not (fits and are_numbers(found)):
         raise error(sentence)
     return found
+
+
+def are_numbers(values: Array) -> bool:
+    """Tell whether all of them are finite, and their squares are as well."""
+    return bool(np.all(np.abs(values) <= LARGEST))  # a comparison with nan is false
 
 
 def refuse_sigma(value: float | None, where: str) -> None:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import MeasurementError, RobotError
-from calib.foundations.ranges import refuse_no_placement
+from calib.foundations.ranges import are_numbers, refuse_no_placement
 from calib.foundations.words import listed, not_calibrated
 from calib.identification.machine import Frames, Layout, Machine
 from calib.machine.place import Placed
@@ -293,6 +293,6 @@ def refuse_unfollowed(robot: Robot, conditions: Conditions) -> None:
 def readings_of(machine: CalibratedMachine, readings: npt.ArrayLike) -> Array:
     """Return readings (N, nr) of a machine, one row or more. Raises MeasurementError for others."""
     found, width = np.asarray(readings, dtype=np.float64), len(machine.robot.readings)
-    if found.ndim != 2 or found.shape[1] != width or not len(found) or not np.isfinite(found).all():
+    if found.ndim != 2 or found.shape[1] != width or not len(found) or not are_numbers(found):
         raise MeasurementError(f"readings of shape {found.shape}: needs finite numbers (N, {width}), one row or more.")
     return found

@@ -11,6 +11,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.ranges import are_numbers
 from calib.foundations.xml_text import quoted
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
@@ -141,10 +142,10 @@ def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Table
 
 def _envelope(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> tuple[Array, Array]:
     q = np.asarray(angles, dtype=np.float64)
-    if q.ndim != 2 or q.shape[1] != len(fit.model.robot.readings) or not np.isfinite(q).all():
+    if q.ndim != 2 or q.shape[1] != len(fit.model.robot.readings) or not are_numbers(q):
         names = ", ".join(reading.name for reading in fit.model.robot.readings)
         raise MeasurementError(f"angles: must be finite numbers (N, {len(fit.model.robot.readings)}), of {names}.")
     x = np.asarray(points, dtype=np.float64)
-    if x.shape not in ((3,), (len(q), 3)) or not np.isfinite(x).all():
+    if x.shape not in ((3,), (len(q), 3)) or not are_numbers(x):
         raise MeasurementError(f"points: must be finite numbers (3,) or ({len(q)}, 3), in m.")
     return np.broadcast_to(x, (len(q), 3)), q

@@ -18,7 +18,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.chance import shown_noise
 from calib.foundations.errors import IdentificationError, MeasurementError
-from calib.foundations.ranges import finite, refuse_sigma
+from calib.foundations.ranges import are_numbers, finite, refuse_sigma
 
 # Points on a line leave a turn about it open; a width below this share of their length is rounding.
 _LINE = 1e-7
@@ -68,7 +68,7 @@ def relative_base(
     Raises MeasurementError when the points do not pair, IdentificationError when they lie on a line.
     """
     a, b = (np.asarray(points, dtype=np.float64) for points in (points_a, points_b))
-    if a.ndim != 2 or a.shape != b.shape or a.shape[1:] != (3,) or not (np.isfinite(a).all() and np.isfinite(b).all()):
+    if a.ndim != 2 or a.shape != b.shape or a.shape[1:] != (3,) or not (are_numbers(a) and are_numbers(b)):
         raise MeasurementError(f"the points must be two sets of as many finite (N, 3); they are {a.shape}, {b.shape}.")
     refuse_sigma(sigma_a, "sigma_a")
     refuse_sigma(sigma_b, "sigma_b")

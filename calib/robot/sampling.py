@@ -7,6 +7,7 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.choices import MOST_POSES
 from calib.foundations.errors import RobotError
+from calib.foundations.ranges import are_numbers
 from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations, Robot, TipModel
 
@@ -81,9 +82,9 @@ def random_readings(
     where it is nearer to a dead centre than that, or beyond (:func:`least_determinant`); raises RobotError when hardly
     any are left.
     """
-    bounds = joint_limits(robot) if limits is None else limits
+    bounds = (joint_limits(robot) if limits is None else limits) + 0.0  # -0.0 is below 0.0 to who draws
     width = len(robot.readings)
-    if bounds.shape != (width, 2) or not (np.isfinite(bounds).all() and np.all(bounds[:, 0] <= bounds[:, 1])):
+    if bounds.shape != (width, 2) or not (are_numbers(bounds) and np.all(bounds[:, 0] <= bounds[:, 1])):
         raise RobotError(f"limits: needs finite numbers ({width}, 2), for every reading its lower and its upper one.")
     if not 1 <= count <= MOST_POSES or seed < 0:
         raise RobotError(f"{count} random poses, seed {seed}: allowed are 1 to {MOST_POSES} and no negative seed.")
