@@ -485,6 +485,17 @@ def test_check_of_a_workbook_says_what_to_do(folder: Path) -> None:
         ("xl/sharedStrings.xml", b"<x:si/>" * 250_001, "has more formats, names and texts than a table needs"),
         ("xl/worksheets/sheet1.xml", b"<is/>" * 250_001, "has more formats, names and texts than a table needs"),
         ("xl/comments1.xml", bytes(60_000_000), "unpacks to more than 50000000 bytes"),
+        (
+            "xl/styles.xml",
+            b"<a b='" + b"x" * 250_000 + b"'/>",
+            "'xl/styles.xml' has a tag, a comment or a text of more",
+        ),
+        ("xl/styles.xml", b"<a><!-- " + b"<b> " * 70_000 + b"--></a>", "'xl/styles.xml' has a tag, a comment or a"),
+        (
+            "xl/styles.xml",
+            b"\xff\xfe <?a " + b"<b> " * 70_000,
+            "'xl/styles.xml' has a tag, a comment or a text of more",
+        ),
         ("xl/styles.xml", b"<!DOCTYPE a>", "'xl/styles.xml' has a document type, which no workbook needs"),
         ("xl/styles.xml", "<!DOCTYPE a>".encode("utf-16"), "'xl/styles.xml' has a document type, which no"),
     ],

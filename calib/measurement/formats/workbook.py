@@ -27,6 +27,10 @@ _LEAST_OBJECTS, _BYTES_OF_AN_OBJECT = 250_000, 4
 _MOST_ROWS, _MOST_COLUMNS, _MOST_VALUES = 200_000, 1000, 5_000_000
 # The last row that a workbook can have; the rows before one are walked through, be they there or not.
 _LAST_ROW = 1_048_576
+# The reader of XML begins a tag or a comment again for every piece of it that comes.
+_LONGEST_TAG = 250_000
+_BEGINS_XML = re.compile(rb"(?:\xef\xbb\xbf|\xff\xfe|\xfe\xff)?\s*<")
+_APART = re.compile(rb"<!--.*?(?:-->|\Z)|<\?.*?(?:\?>|\Z)", re.DOTALL)
 # Rows by their number, and cells by their column.
 _PLACE = re.compile(
     rb"""<(?:\w+:)?(?:row\s(?:[^<>]*?\s)?r=["'](\d{1,20})|c\s(?:[^<>]*?\s)?r=["']([A-Z]{1,3})\d{1,20})["']"""
@@ -118,6 +122,10 @@ def _refuse_bombs(archive: zipfile.ZipFile, size: int, where: str) -> None:
         tags += part.count(b"<")
         if tags > max(_LEAST_TAGS, _MOST_TAGS_PER_BYTE * size):
             raise MeasurementError(f"{where}: unpacks to more than {_MOST_TAGS_PER_BYTE} tags for each of its bytes.")
+        if _BEGINS_XML.match(part) and max(map(len, [*part.split(b"<"), *_APART.findall(part)])) > _LONGEST_TAG:
+            raise MeasurementError(
+                f"{where}: {shown(member.filename)} has a tag, a comment or a text of more than {_LONGEST_TAG} bytes."
+            )
         objects += len(_TAG.findall(part)) - len(_PLAIN_TAG.findall(part))
         if objects > max(_LEAST_OBJECTS, size // _BYTES_OF_AN_OBJECT):
             raise MeasurementError(
