@@ -5,8 +5,10 @@ import importlib
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import get_args
 
+import numpy as np
 import pytest
 import yaml
 from pydantic import BaseModel
@@ -17,6 +19,8 @@ from calib.machine import gaussian, grid
 from calib.machine.model_file import ModelFile
 from calib.machine.uncertainty_file import UncertaintyFile
 from calib.results.folder import result
+from calib.robot.load import load_robot
+from calib.robot.urdf import parse_urdf
 from tests.support.cases import CASE, ROOT, TABLE
 
 DIRECTIVE = re.compile(r"\.\. auto(?:function|class|exception|module):: ([\w.]+)")
@@ -114,3 +118,22 @@ def test_changelog_has_the_version() -> None:
         assert headings[0] == "Unreleased"
     else:
         assert re.fullmatch(rf"{re.escape(calib.__version__)} - \d{{4}}-\d{{2}}-\d{{2}}", headings[0])
+
+
+def test_the_axes_of_components_are_those_that_the_formats_tell() -> None:
+    """A length of a joint moves it along the axis of the URDF that the table says, whatever the joint's own axis."""
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    section = text.partition("### Components of placements")[2].partition("###")[0]
+    rows = re.findall(r"^\| `([-01 ]+)`[^|]*\| (-?[xyz]) \| (-?[xyz]) \| (-?[xyz]) \|$", section, re.MULTILINE)
+    assert len(rows) == 6
+    for axis, *directions in rows:
+        urdf = (
+            '<robot name="arm"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>'
+            f'<child link="b"/><axis xyz="{axis}"/><limit lower="-1" upper="1" effort="1" velocity="1"/>'
+            "</joint></robot>"
+        )
+        robot = load_robot(parse_urdf(urdf.encode(), "arm.urdf"))
+        for k, direction in enumerate(directions):
+            d = replace(robot.no_deviations(), placements=np.eye(6)[None, k] * 1e-3)
+            wanted = np.eye(3)["xyz".index(direction[-1])] * (-1.0 if direction.startswith("-") else 1.0)
+            assert robot.tips(np.zeros((1, 1)), d)[0, :3, 3] == pytest.approx(1e-3 * wanted), (axis, k)
