@@ -247,6 +247,8 @@ def _unfit(one: Photograph, size: tuple[int, int], row: str | None, owner: str |
 
 def _why(found: Detection) -> str:
     """Return why a photograph is of no use, nothing where it is."""
+    if not len(found.marks) and found.twice:
+        return "markers of the board are seen twice; of boards in one photograph each needs a dictionary of its own"
     if not len(found.marks):
         return "no board is found"
     if len(found.marks) < LEAST_CORNERS:

@@ -114,6 +114,8 @@ def test_photographs_of_no_use_are_named_and_left_out(folder: Path) -> None:
     (photographs / "image_004.png").write_bytes(b"no image")
     shutil.copyfile(photographs / "image_000.png", photographs / "other.png")
     (photographs / "image_005.png").unlink()
+    two = cv2.imread(str(photographs / "image_006.png"), 0)
+    cv2.imwrite(str(photographs / "image_006.png"), np.hstack([two, two]))
     said = imported(folder, "readings.csv", "--json")
     assert said.code == 0
     told = json.loads(said.out)
@@ -123,6 +125,9 @@ def test_photographs_of_no_use_are_named_and_left_out(folder: Path) -> None:
     assert why["image_003.png"] == "has 1280 x 720 pixels, and most have 640 x 360"
     assert why["image_004.png"] == "is not an image that is read: PNG, JPEG, BMP, TIFF, PGM or WebP"
     assert why["other.png"] == "has no row in the readings"
+    assert why["image_006.png"].startswith(
+        "markers of the board are seen twice; of boards in one photograph each needs"
+    )
     assert any("there is no photograph 'image_005.png'" in remark for remark in told["remarks"])
 
 

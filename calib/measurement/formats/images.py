@@ -41,6 +41,8 @@ MOST_OUTLINES = 15_000
 _HORIZON = 1e-6
 # Below so many corners a photograph tells no pose worth having.
 LEAST_CORNERS = 6
+# So many markers are seen twice where there are two boards with the same ones; one may be a mistake.
+_SEEN_TWICE = 2
 # Width of a small copy, in px.
 _SMALL = 480
 # Blur, in px, beyond which a photograph is said to be blurred.
@@ -50,13 +52,15 @@ MOST_BLUR = 4.0
 class Detection(NamedTuple):
     """What a photograph shows of a board: which ``marks`` (n,), their ``pixels`` (n, 2), ``sigma`` (n,), ``blur`` (n,).
 
-    Pixels as OpenCV counts them: the centre of the first one is 0, 0.
+    Pixels as OpenCV counts them: the centre of the first one is 0, 0. ``twice``: no board is found as markers of it are
+    seen twice, so that nobody knows which are its own.
     """
 
     marks: IntArray
     pixels: Array
     sigma: Array
     blur: Array
+    twice: bool = False
 
 
 def opencv() -> Any:
@@ -167,15 +171,16 @@ def detector(print_: Print) -> Callable[[Array], Detection]:
 
     def detect(grey: Array) -> Detection:
         searched = _searched(cv2, grey)
-        marks, pixels = find(searched)
+        marks, pixels, twice = find(searched)
         if len(marks) < 4:
-            return NOTHING_SEEN
+            return NOTHING_SEEN._replace(twice=twice)
         # Pixels are counted from the middle of the first one.
         pixels = (pixels + 0.5) * (np.array(grey.shape[::-1]) / searched.shape[::-1]) - 0.5
         along, free = _edges(print_, marks, pixels)
         corners = refine(grey, pixels, along, _SHARE * free)
         good = corners.good & (free * _SHARE >= LEAST_RADIUS * 0.8)
-        return Detection(marks[good], *(read_only(a[good]) for a in corners[:3]))
+        pixels, sigma, blur = (read_only(a[good]) for a in corners[:3])
+        return Detection(marks[good], pixels, sigma, blur)
 
     return detect
 
@@ -190,22 +195,23 @@ def _searched(cv2: Any, grey: Array) -> Array:
     return grey if share == 1.0 else np.asarray(cv2.resize(grey, (w, h), interpolation=cv2.INTER_AREA))
 
 
-def _charuco(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Array]]:
+def _charuco(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Array, bool]]:
     used, known = len(marker_bits(print_)), dictionary(print_.dictionary)
     # All that could be a marker is compared with all of these: those of the board alone.
     known = cv2.aruco.Dictionary(known.bytesList[:used], known.markerSize, known.maxCorrectionBits)
     board = cv2.aruco.CharucoBoard(print_.squares, print_.square, print_.marker, known)
     found = cv2.aruco.CharucoDetector(board)
 
-    def find(grey: Array) -> tuple[IntArray, Array]:
+    def find(grey: Array) -> tuple[IntArray, Array, bool]:
         parameters = cv2.aruco.DetectorParameters()
         with _one_thread(cv2):
             parameters.minMarkerPerimeterRate = _least_outline(cv2, grey, parameters) / max(grey.shape)
             found.setDetectorParameters(parameters)
-            corners, ids, _, _ = found.detectBoard(grey)
+            corners, ids, _, markers = found.detectBoard(grey)
+        twice = markers is not None and int((np.bincount(markers.ravel()) > 1).sum()) >= _SEEN_TWICE
         if ids is None or corners is None:
-            return NOTHING_SEEN.marks, NOTHING_SEEN.pixels
-        return ids.ravel().astype(np.intp), corners.reshape(-1, 2).astype(np.float64)
+            return NOTHING_SEEN.marks, NOTHING_SEEN.pixels, twice
+        return ids.ravel().astype(np.intp), corners.reshape(-1, 2).astype(np.float64), twice
 
     return find
 
@@ -256,18 +262,18 @@ def _lengths(cv2: Any, part: Array, connected: int, around: int) -> IntArray:
     return np.asarray(2 * (across_down.sum(axis=1) + around), dtype=np.intp)
 
 
-def _chessboard(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Array]]:
+def _chessboard(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Array, bool]]:
     across, down = print_.squares[0] - 1, print_.squares[1] - 1
 
-    def find(grey: Array) -> tuple[IntArray, Array]:
+    def find(grey: Array) -> tuple[IntArray, Array, bool]:
         seen, corners = cv2.findChessboardCornersSB(grey, (across, down), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if not seen:
-            return NOTHING_SEEN.marks, NOTHING_SEEN.pixels
+            return NOTHING_SEEN.marks, NOTHING_SEEN.pixels, False
         pixels = corners.reshape(-1, 2).astype(np.float64)
         # The squares that the first and the last corner have on their outer sides differ: the first one's is black.
         grid = pixels.reshape(down, across, 2)
         first, last = (_outside(grey, grid, i, j, si) for i, j, si in ((0, 0, 1), (-1, -1, -1)))
-        return np.arange(across * down, dtype=np.intp), pixels if first < last else pixels[::-1]
+        return np.arange(across * down, dtype=np.intp), pixels if first < last else pixels[::-1], False
 
     return find
 
