@@ -1,17 +1,23 @@
 """From a xacro file to a URDF, by the package xacro: in a process of its own, since it runs the file's code."""
 
+import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 from calib.foundations.errors import RobotError
+from calib.robot.urdf import LARGEST_URDF
 
 # By the clock, and of the processor. The largest robots that we know take 2 s and 100 MB.
 _SECONDS, _OF_PROCESSOR, _MOST_BYTES = 60, 8, 1_000_000_000
+# Of the URDF, which may be as long as any, and of what xacro says beside it.
+_MOST_WRITTEN = LARGEST_URDF + 1
 _LIMITS = f"""
 import contextlib, resource
-for kind, most in ((resource.RLIMIT_CPU, {_OF_PROCESSOR}), (resource.RLIMIT_AS, {_MOST_BYTES})):
+for kind, most in ((resource.RLIMIT_CPU, {_OF_PROCESSOR}), (resource.RLIMIT_AS, {_MOST_BYTES}),
+                   (resource.RLIMIT_FSIZE, {_MOST_WRITTEN})):
     with contextlib.suppress(ValueError, OSError):  # a lower limit stands, or the system knows none
         resource.setrlimit(kind, (most, most))
 """
@@ -30,20 +36,29 @@ def expanded(path: Path) -> bytes:
         raise RobotError(f"{path}: there is no such file.")
     # No module is taken from the current folder: what is run is the file's code alone.
     command = [sys.executable, "-P", "-c", _RUN, str(path.absolute())]
-    try:
-        done = subprocess.run(command, capture_output=True, timeout=_SECONDS, check=False, stdin=subprocess.DEVNULL)
-    except subprocess.TimeoutExpired as e:
-        raise RobotError(f"{path}: xacro did not end within {_SECONDS} s.") from e
+    # Into files, whose length has a limit.
+    with tempfile.TemporaryFile() as made, tempfile.TemporaryFile() as told:
+        try:
+            done = subprocess.run(
+                command, stdin=subprocess.DEVNULL, stdout=made, stderr=told, timeout=_SECONDS, check=False
+            )
+        except subprocess.TimeoutExpired as e:
+            raise RobotError(f"{path}: xacro did not end within {_SECONDS} s.") from e
+        if max(made.seek(0, os.SEEK_END), told.seek(0, os.SEEK_END)) >= _MOST_WRITTEN:
+            raise RobotError(f"{path}: xacro writes more than the {LARGEST_URDF} bytes that are allowed.")
+        made.seek(0)
+        told.seek(0)
+        urdf, stderr = made.read(), told.read()
     if done.returncode in _USED_UP:
         raise RobotError(f"{path}: xacro took more than {_OF_PROCESSOR} s of processor time, which are allowed.")
     if done.returncode:
-        said = [line for line in done.stderr.decode(errors="replace").splitlines() if line.strip()] or ["nothing"]
-        if any("No module named 'xacro'" in line for line in said):
-            raise RobotError(f"{path}: needs the package xacro: pip install 'urdf-calib[xacro]'.")
-        if said[0].strip() == "error:" or any("MemoryError" in line for line in said):
-            raise RobotError(f"{path}: xacro needs more than the {_MOST_BYTES} bytes of memory that are allowed.")
+        said = [line for line in stderr.decode(errors="replace").splitlines() if line.strip()] or ["nothing"]
         # What is wrong stands first, and then where; of a traceback it stands last.
         first = next((line for line in said if not line.lower().startswith("warning")), said[0])
+        if any("No module named 'xacro'" in line for line in said):
+            raise RobotError(f"{path}: needs the package xacro: pip install 'urdf-calib[xacro]'.")
+        if first.strip() == "error:" or any("MemoryError" in line for line in said):
+            raise RobotError(f"{path}: xacro needs more than the {_MOST_BYTES} bytes of memory that are allowed.")
         what = said[-1] if first.startswith("Traceback") else first
         raise RobotError(f"{path}: xacro says {what.strip().removeprefix('error: ')[:_LONGEST]!r}.")
-    return done.stdout
+    return urdf

@@ -53,6 +53,15 @@ def test_xacro_runs_when_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
             "<link name=\"${len('x' * 2000000000)}\"/>",
             "xacro needs more than the 1000000000 bytes of memory that are allowed.",
         ),
+        (  # it warns of range first
+            '<link name="${len(list(range(10**9)))}"/>',
+            "xacro needs more than the 1000000000 bytes of memory that are allowed.",
+        ),
+        (
+            "<link name=\"${[xacro.message('x' * 10**7) for _ in range(9)]}\"/>",
+            "xacro writes more than the 10000000 bytes that are allowed.",
+        ),
+        ("<link name=\"${'x' * 10**7}\"/>", "xacro writes more than the 10000000 bytes that are allowed."),
         ('<link name="${9**9**9}"/>', "xacro took more than 1 s of processor time, which are allowed."),
     ],
 )
