@@ -124,6 +124,6 @@ def _plain(value: Any, at: tuple[str | int, ...] = ()) -> Any:
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
         bits = value.bit_length()
         raise _TooLargeError(
-            f"{shortened(dotted(at))}: a whole number of {bits} bits is more than 64, which TOML allows"
+            f"{shortened(dotted(at))}: a whole number of {bits} bits; TOML allows 64, one of which is the sign"
         )
     return value
