@@ -30,6 +30,8 @@ Kind = Literal["null space", "weakly determined", "correlated"]
 # them one by one. Shares of a direction are told to a hundredth, and those of identifiable parameters stay below 0.02.
 _SHOWN = 0.05
 _MOST_ROWS = 200
+# Of a set-up and a tool of a table, where a direction is tried at random readings.
+_FEWEST_ROWS = 10
 _CORRELATED = 0.95
 _TO_SHOW_A_CLOCK = "A clock shows where the speed changes: move now faster and now slower, in other directions."
 # Where more tool points are tried, in m on the tip link beside the first one.
@@ -130,20 +132,35 @@ def told_briefly(
     if len(null_space) < _A_FEW or any(data.kind not in ("position", "pose") for data in measurements):
         return tuple(said)
     sets = with_common_names(model, [data.at_readings() for data in measurements])
-    if len(sets[0].setups) > 1 or len(model.robot.links) > 1:
-        # What one set-up, or one link, does not show, others may.
+    if len(model.robot.links) > 1 or not (anywhere := _anywhere(model, sets)):
+        # What one link does not show, others may.
         return tuple(said)
     frames = initial_frames(model, sets)
-    first = max(sets, key=lambda data: data.sigma.shape[1])
-    n = min(len(first), _MOST_ROWS)
-    anywhere = replace(first.subset(np.arange(n)), readings=read_only(random_readings(model.urdf_robot, n)))
-    J, names = _per_unit(Problem(model, model.parameters(sets[0].tools, sets[0].setups), frames, (anywhere,)))
+    J, names = _per_unit(Problem(model, model.parameters(sets[0].tools, sets[0].setups), frames, anywhere))
     never = [not _of_clock(direction, sets) and not _shown(J, names, [], direction) for direction in null_space]
     if sum(never) < _A_FEW:
         return tuple(said)
-    several = f"{sum(never)} combinations that no {'pose' if first.kind == 'pose' else 'position'} determines"
+    seen = "pose" if any(data.kind == "pose" for data in sets) else "position"
+    several = f"{sum(never)} combinations that no {seen} determines"
     others = [sentence for sentence, always in zip(said, never, strict=True) if not always]
     return (f"{several}: normal for {_joints(model)}. No prediction depends on them.", *others)
+
+
+def _anywhere(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
+    """Return the sets as they would be with as many rows, at random readings, of every set-up and tool in them.
+
+    Nothing where there are too many of these.
+    """
+    pairs = [np.unique(np.stack([data.setup, data.tool]), axis=1).T for data in sets]
+    if (count := sum(map(len, pairs))) > _MOST_ROWS // _FEWEST_ROWS:
+        return ()
+    n = _MOST_ROWS // count
+    found = []
+    for data, own in zip(sets, pairs, strict=True):
+        rows = [np.resize(np.flatnonzero((data.setup == setup) & (data.tool == tool)), n) for setup, tool in own]
+        readings = random_readings(model.urdf_robot, n * len(own))
+        found.append(replace(data.subset(np.concatenate(rows)), readings=read_only(readings)))
+    return tuple(found)
 
 
 def _joints(model: ErrorModel) -> str:

@@ -188,6 +188,28 @@ def test_what_no_pose_would_show_is_one_sentence() -> None:
     assert told_briefly(model, [data], null_space[:2], every[:2]) == tuple(every[:2])
 
 
+def test_what_no_pose_would_show_from_several_places_is_one_sentence() -> None:
+    """An arm that was measured where it stood in three places, with a base for each, of which one has few rows."""
+    robot, data = measured()
+    model = calib.error_model(robot, offsets="all", placements="all")
+    places = [data.named(setup=name) for name in ("dock", "bench")]
+    places.append(data.subset(np.arange(4)).named(setup="door"))
+    null_space = observability(model, places).undetermined
+    every = [a.sentence for a in null_space_advice(model, places, null_space)]
+    assert len(every) == 18
+    (said,) = told_briefly(model, places, null_space, every)
+    assert said.startswith("18 combinations that no position determines: normal for six revolute joints")
+    # Two rows leave a turn of the base open, which is not normal: others would show it.
+    places[-1] = data.subset(np.arange(2)).named(setup="door")
+    null_space = observability(model, places).undetermined
+    every = [a.sentence for a in null_space_advice(model, places, null_space)]
+    first, *others = told_briefly(model, places, null_space, every)
+    assert "combinations that no position determines" in first
+    assert others
+    assert set(others) < set(every)
+    assert all("base.door" in sentence for sentence in others)
+
+
 def test_joints_that_follow_others_are_told_beside_the_readings() -> None:
     """Of the IRB2400 without its loop seven joints carry the tip, and its controller shows six."""
     robot = calib.load_robot(Path(__file__).parents[2] / "robots/irb2400/irb2400.urdf", tip="tool0")
