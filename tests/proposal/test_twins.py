@@ -2,13 +2,14 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import calib
 from calib.job.chains import chains
 from calib.robot.load import load_robot
 from calib.robot.urdf import read_urdf
-from tests.proposal.twins import TWINS, URDF_OF, Expected, Twin
+from tests.proposal.twins import PANDA, TWINS, URDF_OF, XYZ, Expected, Twin, numbered, session, text
 
 
 @pytest.mark.parametrize("twin", TWINS, ids=lambda twin: twin.name)
@@ -40,6 +41,17 @@ def test_an_arm_has_the_readings_that_move_it_also_behind_fingers_that_follow_ot
     for arm in arms:
         robot = load_robot(document, arm.tip, arm.base)
         assert tuple(reading.name for reading in robot.readings) == arm.joints
+
+
+def test_a_column_beside_the_numbered_joints_is_not_taken_for_the_fingers(tmp_path: Path) -> None:
+    """The arm with its fingers has a joint more: that many columns are the joints and the one before them."""
+    seen = session(PANDA, "panda_hand_tcp")
+    contents = [np.arange(len(seen.readings)) * 12.5, np.degrees(seen.readings), 1e3 * seen.position]
+    file = tmp_path / "table.csv"
+    file.write_text(text(["Zeit", *numbered("J{}", 1, 7), *XYZ], contents))
+    found = calib.measuring.propose(URDF_OF["Panda"], [file])
+    assert not found.questions, found.questions
+    check(found, Expected(numbered("J{}", 1, 7), "deg", XYZ, ignore=["Zeit"]))
 
 
 def check(found: calib.measuring.Proposal, expected: Expected) -> None:

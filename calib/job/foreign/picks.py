@@ -97,8 +97,15 @@ def _joints(seen: Seen) -> list[tuple[Chain, roles.Joints]]:
     found = []
     for arm in _arms_of(seen, range(fewest + 1, len(seen.raw.columns) + 1)):
         found += [(arm, one) for one in roles.joints_by_order(seen.raw, len(arm.joints), seen.known)]
+    # As many columns as the arm has joints with its fingers may be those of the arm without them, and one more.
+    families = set(roles.numbered_columns(seen.raw))
+    numbered = [(arm, one) for arm, one in found if len(arm.joints) in families and arm in seen.arms]
+    return list(dict.fromkeys([*named, *_longest(found), *_longest(numbered)]))
+
+
+def _longest(found: Sequence[tuple[Chain, roles.Joints]]) -> list[tuple[Chain, roles.Joints]]:
     longest = max((len(arm.joints) for arm, _ in found), default=0)
-    return named + [(arm, one) for arm, one in found if len(arm.joints) == longest]
+    return [(arm, one) for arm, one in found if len(arm.joints) == longest]
 
 
 def _arms_of(seen: Seen, counts: Iterable[int]) -> list[Chain]:
