@@ -253,7 +253,9 @@ def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
                 worst, limit, where = share, allowed, one.file
             passed = passed and share <= allowed
     said = f"{100.0 * worst:.2g} % of the rows are more than {FAR:g} standard deviations from the rest"
-    said = f"{said}." if passed else f"{where}: {said}; correct or remove them."
+    # A joint that moves with another, and a model without that, look alike.
+    why = "they are wrong, or the arm does there what the model leaves out; look at them before any is removed."
+    said = f"{said}." if passed else f"{where}: {said}: {why}"
     return Check.of("outliers", worst, limit, passed, said)
 
 
