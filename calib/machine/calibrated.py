@@ -217,8 +217,7 @@ class CalibratedMachine:
         def numbers(what: str, own: Sequence[str], names: Sequence[str]) -> IntArray:
             for name in names:
                 if name not in own:
-                    known = ", ".join(map(repr, own))
-                    raise MeasurementError(f"{data.where}: the {what} {name!r} was not identified; known are {known}.")
+                    raise MeasurementError(f"{data.where}: {_not_identified(what, name, own)}")
             return np.array([own.index(name) for name in names], dtype=np.intp)
 
         for name in (data.tools[k] for k in np.unique(data.tool)):
@@ -296,3 +295,16 @@ def readings_of(machine: CalibratedMachine, readings: npt.ArrayLike) -> Array:
     if found.ndim != 2 or found.shape[1] != width or not len(found) or not are_numbers(found):
         raise MeasurementError(f"readings of shape {found.shape}: needs finite numbers (N, {width}), one row or more.")
     return found
+
+
+def _not_identified(what: str, name: str, own: Sequence[str]) -> str:
+    """Return what to say of rows of a tool or set-up that a machine does not have."""
+    known = f"known are {', '.join(map(repr, own))}"
+    if what == "tool":
+        return f"the tool {name!r} was not identified; {known}."
+    if name == ONLY_SETUP:
+        return f"no column says in which set-up the rows were measured; {known}: name one by --setup."
+    return (
+        f"the set-up {name!r} was not identified; {known}. Where only the base is new, such rows are judged as of a "
+        f"known one, with its base found anew: --ignore the column, --setup {own[0]} --refit-base."
+    )

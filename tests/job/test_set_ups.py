@@ -107,6 +107,14 @@ def test_an_arm_from_two_places(folder: Path) -> None:
     anew = json.loads(both.out)["with_base_refitted"]
     assert anew["test"]["degrees_of_freedom"] == 60 * 3 - 12
     assert anew["metrics"]["position"]["rms"] < 3 * SIGMA
+    # A new place, and rows that name none: how such are judged is said, and so it is.
+    head, *rows = (folder / "judge.csv").read_text().splitlines()
+    (folder / "new.csv").write_text("\n".join([f"{head}, setup", *(f"{row}, new" for row in rows)]) + "\n")
+    judge = ("verify", out, folder / "new.csv", "--tool", "ball", "--refit-base", "-q")
+    assert "judged as of a known one, with its base found anew: --ignore the column, --setup left" in run(*judge).err
+    assert run(*judge, "--ignore", "setup", "--setup", "left").code == 0
+    nameless = run("verify", out, folder / "judge.csv", "--tool", "ball", "--refit-base", "-q").err
+    assert "no column says in which set-up the rows were measured; known are 'left', 'right': name one" in nameless
     machine = calib.load_machine(out)
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 6))
     for setup in ("left", "right"):
