@@ -6,8 +6,9 @@ by what it explains *alone*; and each is taken away while all others stay free, 
 them. How well corners are found, photographs say by themselves: each has a pose of its own there, so that no arm takes
 part. Where that is most, corners are named. Else it is the simplest cause that alone explains most of what is beyond
 corners, as a print that is too large is likelier than an arm whose every link is: if it explains nearly all. Else the
-only one without which all others together leave most of it. Where there is none such, none is named; nor is any
-looked for where even all together leave what cannot be explained: readings that are not of these photographs.
+only one without which all others together leave most of it, where all together do not. Where there is none such, none
+is named; nor is any looked for where even all together leave what cannot be explained: readings that are not of these
+photographs.
 
 Of very many photographs only some are identified from here, which all tried causes share: which it is, more of them do
 not tell better.
@@ -66,6 +67,7 @@ _NEXT: Mapping[CauseName, str] = {
     "arm": "photograph with the wrist turned otherwise, and over more of the workspace",
     "corners": "photograph sharper, with more light, or with the board larger in the image",
 }
+_MORE = "take more photographs: what is left is far more than how well corners are found"
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +128,11 @@ class Blame:
         if not self.told:
             return "See whether readings and photographs belong together, and robot and board are the right ones."
         told = max(self.causes, key=lambda cause: cause.tool or 0.0)
-        name = told.name if (told.tool or 0.0) > 0.5 * self.tool else "corners"
-        return f"To be surer where the tool is, {_NEXT[name]}."
+        if (told.tool or 0.0) > 0.5 * self.tool:
+            return f"To be surer where the tool is, {_NEXT[told.name]}."
+        # In squares: where corners are found far better than what is left, sharper ones tell nothing more.
+        beyond = self.corners**2 < (1.0 - _MOST) * self.left**2
+        return f"To be surer where the tool is, {_MORE if beyond else _NEXT['corners']}."
 
 
 def blame(fit: Fit, sets: Sequence[JudgedSet]) -> Blame | None:
@@ -338,6 +343,9 @@ def _named(whole: float, left: float, corners: float, alone: _Squares, beside: _
             return name
         if share > _MOST:
             break
+    if whole - left < _MOST * beyond:
+        # Where all together leave most, what one is needed beside the others only undoes what these did wrong.
+        return None
     needed = [name for name, square in beside if square is not None and square - left > _MOST * beyond]
     return needed[0] if len(needed) == 1 else None
 
