@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -138,6 +138,26 @@ def refused(made: Streams, seen: dict[str, Any], joints: dict[str, Any], clock: 
     with pytest.raises(CalibError) as caught:
         calib.measuring.read_stream(seen, made.robot, joints, clock=clock)  # type: ignore[arg-type]
     return str(caught.value)
+
+
+def test_marks_of_one_photograph_have_one_time(made: Streams) -> None:
+    """Of a board most rows have the time of the row before; they are no stream that is too fast."""
+    times = np.repeat(np.arange(2.0, 30.0, 0.25), 6)
+    marks = np.tile(
+        [[0.0, 0.0], [0.03, 0.0], [0.06, 0.0], [0.0, 0.03], [0.03, 0.03], [0.06, 0.03]], (len(times) // 6, 1)
+    )
+    seen = {"time [s]": times, "u [px]": 600.0 + 1e3 * marks[:, 0], "v [px]": 500.0 + 1e3 * marks[:, 1]}
+    seen |= {"board_x [m]": marks[:, 0], "board_y [m]": marks[:, 1]}
+    camera = calib.measuring.Camera("tip", 1400.0, 1400.0, 640.0, 512.0)
+
+    def read(clock: Literal["free", "given"]) -> calib.Measurements:
+        return calib.measuring.read_stream(seen, made.robot, made.joints, "pixels", clock=clock, instrument=camera)
+
+    data = read("given")
+    assert len(data) == len(times)
+    np.testing.assert_array_equal(data.readings[::6], data.readings[5::6])
+    with pytest.raises(CalibError, match="a pixels alone does not show when it was measured"):
+        read("free")
 
 
 def test_bad_streams_are_refused_with_one_sentence(made: Streams) -> None:

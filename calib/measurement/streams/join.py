@@ -46,7 +46,8 @@ def streamed(
     """
     if data.times is None:
         raise TypeError("rows of a stream have times")
-    refuse_no_stream(data.times, data.where)
+    # The marks of one photograph have one time.
+    refuse_no_stream(data.times if data.camera is None else np.unique(data.times), data.where)
     if data.other is not None:
         raise JobError(f"{data.where}: a pair_distance has two ends, and a row of a stream only one moment.")
     if clock.of is not None:
