@@ -264,6 +264,33 @@ def test_what_is_left_out_is_told_with_its_cost() -> None:
     assert export_ros(machine).left_out == (LeftOut("residual model", pytest.approx(2e-4)),)
 
 
+@pytest.mark.parametrize("kind", ["thermal", "warming"])
+def test_terms_of_temperature_are_judged_where_they_were_measured(kind: str) -> None:
+    """At 20 degC they do nothing; what a file without them loses is what they do at the temperatures of the rows."""
+    rng = np.random.default_rng(5)
+    robot, true = calib.load_robot(UR10, "tool0"), machines.arm(UR10, "tool0")
+    readings, celsius, per_kelvin = true.draw(rng, 80), rng.uniform(30.0, 40.0, 80), 5e-5
+    moved = readings.copy()
+    lift = [reading.name for reading in robot.readings].index("shoulder_lift_joint")
+    moved[:, lift] += per_kelvin * (celsius - 20.0)
+    points = true.tips(moved)[:, :3, 3] + rng.normal(scale=1e-6, size=(80, 3))
+    columns: dict[str, object] = {f"{r.name} [rad]": readings[:, k] for k, r in enumerate(robot.readings)}
+    columns |= {f"{axis} [m]": points[:, k] for k, axis in enumerate("xyz")}
+    # Rows that are far apart in time: what follows late has followed.
+    columns |= {"temperature [degC]": celsius, "time [s]": 1e9 * np.arange(80.0)}
+    data = calib.read_measurements(columns, robot, sigma=1e-6)
+    terms = {kind: ["shoulder_lift_joint"]}
+    fit = calib.identify(calib.error_model(robot, terms=terms, base="fixed", tool="fixed"), data)
+    machine = calib.machine_of(fit)
+    (left,) = (part for part in export_offsets(machine).left_out if part.part == "joint terms")
+    at = judged_readings(machine)
+    warm = at.copy()
+    warm[:, lift] += per_kelvin * (celsius.min() / 2.0 + celsius.max() / 2.0 - 20.0)
+    apart = true.tips(warm)[:, :3, 3] - true.tips(at)[:, :3, 3]
+    assert left.cost == pytest.approx(np.sqrt(np.mean(np.sum(apart**2, axis=1))), rel=1e-2)
+    assert export_ros(machine).lost < 1e-6
+
+
 def constant_grid(error: Array) -> SectorGrid:
     axis = np.array([-4.0, 4.0])
     errors = np.broadcast_to(error, (2, 3))
