@@ -745,6 +745,20 @@ def test_empty_records_of_mcap_are_counted(tmp_path: Path) -> None:
     assert unpacking.Unpacker(tmp_path, 1000).counted(many + b"12345678")
 
 
+@pytest.mark.parametrize("packed", ["zstd", "lz4"])
+def test_a_damaged_chunk_is_refused(packed: str, tmp_path: Path) -> None:
+    def record(kind: int, body: bytes) -> bytes:
+        return struct.pack("<BQ", kind, len(body)) + body
+
+    magic, name, data = b"\x89MCAP0\r\n", packed.encode(), b"garbage!!"
+    header = record(1, struct.pack("<I4sI", 4, b"ros2", 0))
+    length = struct.pack("<I", len(name)) + name + struct.pack("<Q", len(data))
+    chunk = record(6, struct.pack("<QQQI", 0, 0, 99, 0) + length + data)
+    (tmp_path / "a.mcap").write_bytes(magic + header + chunk + record(2, bytes(20)) + magic)
+    with pytest.raises(MeasurementError, match=r"a\.mcap: is no recording that can be read \(\w+\)\.$"):
+        topics(tmp_path / "a.mcap")
+
+
 def test_chunks_of_mcap_are_counted_where_they_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for packed in ("", "STORAGE"):
         path = recording(tmp_path / packed, "mcap", packed)

@@ -141,7 +141,12 @@ def _replaced(where: Path, size: int) -> Iterator[None]:
         return unpacker.as_it_is(data)
 
     ros1 = {"none": plain, "bz2": one(bz2.BZ2Decompressor), "lz4": one(LZ4FrameDecompressor)}
-    of_zstd = one(zstd.ZstdDecompressor)
+
+    def of_zstd(data: bytes, _: int = 0) -> bytes:
+        try:
+            return unpacker.unpacked(zstd.ZstdDecompressor, data)
+        except zstd.ZstdError as e:  # which is no exception of another kind
+            raise ValueError("a chunk is damaged") from e
 
     def of_records(unpack: Callable[..., bytes]) -> Callable[..., bytes]:
         return lambda data, _=0: unpacker.counted(unpack(data))
