@@ -1,8 +1,8 @@
 """What else the data would show: joint terms that nobody asked for, tried on rows that were held out.
 
 A column that is there and unused - temperature, the side of approach, measured torques - costs nothing to try, and
-gears that wobble or give way need no column. Each kind of joint terms is fitted to the rows of the fit, and is named
-only where it makes errors of the rows held out smaller: significantly, and by a tenth.
+gears that wobble or give way, and scales that are too long, need no column. Each kind of joint terms is fitted to the
+rows of the fit, and is named only where it makes errors of the rows held out smaller: significantly, and by a tenth.
 """
 
 from collections.abc import Sequence
@@ -28,6 +28,7 @@ _TRIED = {
     "torque": "the measured torques",
     "harmonics": "gears that wobble",
     "elastic": "joints that give way",
+    "gain": "joints that move by more or less than they read",
 }
 # Of more rows a trial costs more than it is worth to those who did not ask.
 _MOST_ROWS = 1000

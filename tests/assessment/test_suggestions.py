@@ -12,8 +12,11 @@ from tests.support import machines
 UR5 = ("example:ur_description/urdf/ur5_robot.urdf", "tool0")
 
 
-def session(per_kelvin: float) -> tuple[calib.Fit, calib.Measurements]:
-    """A fit and rows held out of it; the zero of the elbow wanders with a temperature that the rows tell."""
+def session(per_kelvin: float, scale: float = 0.0) -> tuple[calib.Fit, calib.Measurements]:
+    """A fit and rows held out of it; the zero of the elbow wanders with a temperature that the rows tell.
+
+    ``scale``: by so much more than it reads does the elbow turn.
+    """
     rng = np.random.default_rng(3)
     robot = calib.load_robot(*UR5)
     true = machines.arm(*UR5).moved(rng)
@@ -21,7 +24,7 @@ def session(per_kelvin: float) -> tuple[calib.Fit, calib.Measurements]:
     sets = []
     for n in (60, 40):
         q, temperature = rng.uniform(-2.0, 2.0, (n, 6)), rng.uniform(15.0, 40.0, n)
-        warm = q + per_kelvin * (temperature - 20.0)[:, None] * np.eye(6)[2]
+        warm = q + (per_kelvin * (temperature - 20.0)[:, None] + scale * q) * np.eye(6)[2]
         data = machine.measure(robot, warm, rng=rng, sigma=2e-5)
         sets.append(replace(data, readings=q, conditions=Conditions(temperature=temperature)))
     return calib.identify(calib.error_model(robot, offsets="all", placements="all"), sets[0]), sets[1]
@@ -34,6 +37,15 @@ def test_a_temperature_that_nobody_used_is_named() -> None:
     assert suggestions(fit, []) == ()
     # What took long to fit would take as long once more for every kind that is tried.
     assert suggestions(replace(fit, evaluations=61), [held_out]) == ()
+
+
+def test_a_joint_that_moves_more_than_it_reads_is_named() -> None:
+    """As the axes of a gantry do, whose scales are never of one length."""
+    fit, held_out = session(0.0, 1e-3)
+    (said,) = suggestions(fit, [held_out])
+    assert said.startswith(
+        'Joints that move by more or less than they read: error_model.gain = "all" makes the held-out '
+    )
 
 
 def test_what_does_not_help_is_not_named() -> None:
