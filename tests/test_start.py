@@ -70,6 +70,12 @@ def test_interrupted_before_its_options_are_known() -> None:
     assert start(TERMINAL + at_first + MAIN, "check", "nothing.toml") == (130, "", "Error: interrupted.\n")
 
 
+def test_the_package_is_the_command() -> None:
+    done = subprocess.run([sys.executable, "-m", "calib", "-h"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("Usage: calib [OPTIONS] COMMAND")
+
+
 def test_pressed_again_while_it_ends(tmp_path: Path) -> None:
     """While the sentence is told, for which more is loaded."""
     job = copy_case(tmp_path)

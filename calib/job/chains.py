@@ -10,7 +10,7 @@ from calib.foundations.words import counted
 from calib.robot.urdf import MOST_JOINTS, Urdf, UrdfJoint, read_urdf
 
 # Links of the same joints differ by where the tool is; what is usually meant by the tip, first.
-_TIPS = ("tool0", "flange", "tcp", "tip", "tool", "ee", "end_effector", "hand")
+_TIPS = ("tool0", "flange", "tcp", "end_effector", "tip", "tool", "ee", "hand")
 _MOVES = ("revolute", "continuous", "prismatic")
 
 
@@ -76,8 +76,8 @@ def _drivers(document: Urdf) -> Mapping[str, str]:
 
 
 def _place(link: str, carries: bool) -> tuple[int, bool]:
-    name = link.lower()
-    return next((i for i, word in enumerate(_TIPS) if name == word or word in name.split("_")), len(_TIPS)), carries
+    name = f"_{link.lower()}_"
+    return next((i for i, word in enumerate(_TIPS) if f"_{word}_" in name), len(_TIPS)), carries
 
 
 def behind(document: Urdf, arm: Chain, first: int) -> Chain:

@@ -33,6 +33,11 @@ def test_twin(twin: Twin, tmp_path: Path) -> None:
     check(found, twin.expected)
 
 
+def test_the_tip_of_an_arm_may_have_a_name_of_two_words() -> None:
+    arms = chains(read_urdf("example:kinova_description/robots/kinova.urdf"))
+    assert [arm.tip for arm in arms if len(arm.joints) == 6] == ["j2s6s200_end_effector"]
+
+
 @pytest.mark.parametrize("urdf", ["baxter_description/urdf/baxter.urdf", "panda_description/urdf/panda.urdf"])
 def test_an_arm_has_the_readings_that_move_it_also_behind_fingers_that_follow_others(urdf: str) -> None:
     document = read_urdf(f"example:{urdf}")

@@ -1,0 +1,5 @@
+"""``python -m calib``: the command ``calib``."""
+
+from calib_start import main
+
+main()
