@@ -166,6 +166,7 @@ def _photographed(asked: Mapping[str, Any], tables: Sequence[str], boards: Seque
         urdf=robot or None,
         tip=answers.get("tip"),
         orientation=answers.get("orientation"),
+        camera_on=asked["camera_on"],
         progress=say,
     )
     if not (found.urdf or robot):

@@ -14,6 +14,7 @@ from calib_start import loading
 
 if TYPE_CHECKING:
     from calib.measurement.formats.sheet import Sheet
+    from calib.measurement.instruments import CameraPlace
 
 # The first word for photographs.
 _IMAGES = "images"
@@ -164,14 +165,22 @@ def _images(folders: Sequence[Path], out: Path, robot: str | None, said: OfImage
         from calib.presentation.contact_sheet import Shot, contact_sheet
     if len(folders) != 1 or said.board is None or said.readings is None:
         raise typer.BadParameter("images takes one folder, --board and --readings.")
-    if said.camera_on not in ("tip", "floor"):
+    camera_on: CameraPlace = "floor" if said.camera_on == "floor" else "tip"
+    if said.camera_on != camera_on:
         raise JobError(f"--camera-on: {shown(said.camera_on)} is not tip or floor.")
     page, job, urdf = (out.with_name(f"{out.stem}{end}") for end in ("_photographs.html", ".toml", "_flange.urdf"))
     refuse_taken(page, job, urdf)
     print_ = read_photographed_board(said.board)
     with telling.progress(0, alike=True) as say:
         found = import_photographs(
-            folders[0], print_, said.readings, urdf=robot, tip=said.tip, orientation=said.orientation, progress=say
+            folders[0],
+            print_,
+            said.readings,
+            urdf=robot,
+            tip=said.tip,
+            orientation=said.orientation,
+            camera_on=camera_on,
+            progress=say,
         )
     folder = out.absolute().parent
     model = urdf.name if found.urdf else None if robot is None else seen_from(folder, robot)
@@ -183,7 +192,7 @@ def _images(folders: Sequence[Path], out: Path, robot: str | None, said: OfImage
     if found.urdf:
         texts[urdf] = found.urdf
     if model is not None:
-        texts[job] = found.job(model, out.name, seen_from(folder, said.board), camera_on=said.camera_on)
+        texts[job] = found.job(model, out.name, seen_from(folder, said.board), camera_on=camera_on)
     write_together(texts)
     telling.tell(
         lambda: {"files": list(map(str, texts)), **found.contents()},

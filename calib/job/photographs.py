@@ -1,7 +1,7 @@
 """From a folder of photographs and the readings of the arm at each to a table of pixels, and a job that reads it."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -18,6 +18,7 @@ from calib.foundations.files import sentences
 from calib.foundations.units import MM
 from calib.foundations.words import listed, shown
 from calib.job.chains import chains, whole_chains
+from calib.job.flange_poses import Seen, orientation_of, refuse_mistakes, shown_by
 from calib.job.read import read_board
 from calib.job.toml_text import toml_text
 from calib.machine.calibrated import CalibratedMachine
@@ -34,9 +35,11 @@ from calib.measurement.formats.images import (
     thumbnail,
 )
 from calib.measurement.formats.sheet import Sheet, read_sheet
+from calib.measurement.instruments import CameraPlace
 from calib.measurement.layout import name_and_unit
+from calib.measurement.orientations import ANGLES
 from calib.measurement.prints import Print
-from calib.measurement.table import Columns, read_table
+from calib.measurement.table import Columns, Table, read_table
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
@@ -174,21 +177,24 @@ def import_photographs(
     urdf: str | Path | None = None,
     tip: str | None = None,
     orientation: str | None = None,
+    camera_on: CameraPlace = "tip",
     progress: Callable[[str], None] = lambda _: None,
 ) -> Imported:
     """Find a board in the photographs of a folder, and join them with the arm's readings at each.
 
     ``readings``: a table with the column ``image``, and columns of the joints; or ``x``, ``y``, ``z`` and the
-    quaternion, or three angles of an ``orientation``, of the flange as its controller states it. Then the readings are
-    those with which the nominal robot of ``urdf`` is there; without it they are six axes that put the flange there.
+    quaternion, or three angles, of the flange as its controller states it. Then the readings are those with which the
+    nominal robot of ``urdf`` is there; without it they are six axes that put the flange there. Without an
+    ``orientation``, the photographs tell what three angles are, and poses that they contradict are refused where a
+    typical mistake explains it. For this, they ask ``camera_on``.
     Without a ``tip``, it is that of the arm whose joints the readings have.
 
     Raises CalibError where less than three photographs remain, or readings cannot be had.
     """
     files = _files(folder)
     robot, said = (None, ()) if urdf is None else _arm(urdf, tip, readings)
-    titles, by_image, remarks, made = _readings(readings, robot, orientation)
-    remarks = (*said, *remarks)
+    given = _given(readings, robot, orientation)
+    remarks = said
     detect = detector(print_)
     seen: list[Photograph] = []
     for file in files:
@@ -196,24 +202,33 @@ def import_photographs(
         seen.append(_look(file, detect))
     sizes = [one.size for one in seen if not one.left_out]
     size = max(dict.fromkeys(sizes), key=sizes.count, default=(0, 0))
-    named = {one.name: _named(one.name, by_image) for one in seen}
+    named = {one.name: _named(one.name, given.images) for one in seen}
     owner = {row: name for name, row in reversed(named.items())}
     photographs = tuple(
         one._replace(left_out=_unfit(one, size, named[one.name], owner.get(named[one.name]))) for one in seen
     )
-    taken = {name: by_image[row] for name, row in named.items() if row is not None}
-    lost = [image for image in by_image if image not in named.values()]
+    lost = [image for image in given.images if image not in named.values()]
     if lost:
         more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
         remarks += (f"{readings}: there is no photograph {shown(lost[0])}{more} in {folder}",)
-    imported = Imported(photographs, size, titles, taken, print_, remarks, robot, made)
-    if len(imported.used) < LEAST_PHOTOGRAPHS:
+    used = [one for one in photographs if not one.left_out]
+    if len(used) < LEAST_PHOTOGRAPHS:
         first = next((f"; {one.name}: {one.left_out}" for one in photographs if one.left_out), "")
         raise MeasurementError(
-            f"{folder}: {len(imported.used)} of {len(photographs)} photographs can be used, and {LEAST_PHOTOGRAPHS} "
+            f"{folder}: {len(used)} of {len(photographs)} photographs can be used, and {LEAST_PHOTOGRAPHS} "
             f"are the fewest that tell anything{first}."
         )
-    return imported
+    made = ""
+    if given.table is None:
+        titles, rows = given.titles, list(given.rows)
+    else:
+        progress("holding poses of the flange against photographs")
+        told = _told(used, named, given, print_, size)
+        titles, rows, own, made = _of_flange(given, given.table, robot, orientation, told, camera_on)
+        given = given._replace(remarks=own)
+    by_image = dict(zip(given.images, rows, strict=True))
+    taken = {name: by_image[row] for name, row in named.items() if row is not None}
+    return Imported(photographs, size, titles, taken, print_, (*given.remarks, *remarks), robot, made)
 
 
 def _files(folder: Path) -> list[Path]:
@@ -257,29 +272,54 @@ def _why(found: Detection) -> str:
     return f"is blurred over {blur:.1f} px, and {MOST_BLUR:g} are allowed" if blur > MOST_BLUR else ""
 
 
-def _named(name: str, by_image: Mapping[str, object]) -> str | None:
+def _named(name: str, by_image: Collection[str]) -> str | None:
     """Return the image of the readings that a file is, by its name with or without its ending."""
     return next((image for image in (name, Path(name).stem) if image in by_image), None)
 
 
-def _readings(
-    path: Path, robot: Robot | None, orientation: str | None
-) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]], tuple[str, ...], str]:
-    """Return titles and cells of the readings by image, how they came, and the URDF that they are of, where made."""
+class _Given(NamedTuple):
+    """Readings with the ``images`` of their rows: cells of the joints, or a ``table`` of the flange's poses."""
+
+    path: Path
+    images: tuple[str, ...]
+    titles: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    remarks: tuple[str, ...]
+    table: Table | None
+
+
+def _given(path: Path, robot: Robot | None, orientation: str | None) -> _Given:
+    """Return what a table has. Raises CalibError where there is no column of images, or poses cannot be read."""
     sheet = read_sheet(path)
     names = _names(sheet)
     if IMAGE not in names:
         raise MeasurementError(f"{path}: there is no column {IMAGE!r}; the columns are {', '.join(map(repr, names))}.")
-    images = _images(sheet, names.index(IMAGE))
+    images = tuple(_images(sheet, names.index(IMAGE)))
     own, said = [k for k, name in enumerate(names) if name != IMAGE], f"{path} has readings of the joints"
     if set(POSITION) <= set(names) and _TURNED & set(names):
         joints = [] if robot is None else [reading.name for reading in robot.readings]
         if not joints or not set(joints) <= set(names):
-            return _of_flange(path, images, robot, orientation)
+            table = read_table(path, Columns({"group": IMAGE}))
+            if orientation is not None or not set(ANGLES) <= set(names):
+                _poses(path, orientation)
+            return _Given(path, images, (), (), (), table)
         own = [k for k in own if names[k] in joints]
         said += ", which are taken; its poses of the flange are not needed"
-    rows = {image: tuple(row[k] for k in own) for image, row in zip(images, sheet.rows, strict=True)}
-    return tuple(sheet.titles[k] for k in own), rows, (said,), ""
+    rows = tuple(tuple(row[k] for k in own) for row in sheet.rows)
+    return _Given(path, images, tuple(sheet.titles[k] for k in own), rows, (said,), None)
+
+
+def _poses(path: Path, orientation: str | None) -> Array:
+    table = read_table(path, Columns({"group": IMAGE}, orientation=orientation))
+    return rigid.placement(orientations(table), stacked(table, dict.fromkeys(POSITION, "length")))
+
+
+def _told(
+    used: Sequence[Photograph], named: Mapping[str, str | None], given: _Given, print_: Print, size: tuple[int, int]
+) -> Seen | None:
+    row = {image: k for k, image in enumerate(given.images)}
+    own = [row[image] for one in used if (image := named[one.name]) is not None]
+    return shown_by([(one.found.pixels, print_.marks[one.found.marks]) for one in used], own, size)
 
 
 def _arm(urdf: str | Path, tip: str | None, readings: Path) -> tuple[Robot, tuple[str, ...]]:
@@ -313,10 +353,19 @@ def _images(sheet: Sheet, column: int) -> list[str]:
 
 
 def _of_flange(
-    path: Path, images: Sequence[str], robot: Robot | None, orientation: str | None
-) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]], tuple[str, ...], str]:
-    table = read_table(path, Columns({"group": IMAGE}, orientation=orientation))
-    poses = rigid.placement(orientations(table), stacked(table, dict.fromkeys(POSITION, "length")))
+    given: _Given,
+    table: Table,
+    robot: Robot | None,
+    orientation: str | None,
+    told: Seen | None,
+    camera_on: CameraPlace,
+) -> tuple[tuple[str, ...], list[tuple[str, ...]], tuple[str, ...], str]:
+    """Return titles and cells of the readings, how these came, and the URDF that they are of, where it is made."""
+    path, known = given.path, ""
+    if orientation is None:
+        orientation, known = orientation_of(table, told, camera_on)
+    poses = _poses(path, orientation)
+    refuse_mistakes(table, poses, told, camera_on, given.images)
     if robot is None:
         angles = rigid.rpy_of(poses[:, :3, :3])
         values = np.column_stack([poses[:, :3, 3], angles[:, ::-1]])
@@ -324,7 +373,7 @@ def _of_flange(
         said = f"{path} has poses of the flange, and no robot is given: hand-eye alone, the robot as it is"
         units, urdf = ["m"] * 3 + ["rad"] * 3, flange_urdf()
     else:
-        values, names = _inverse(path, robot, poses, images), tuple(reading.name for reading in robot.readings)
+        values, names = _inverse(path, robot, poses, given.images), tuple(reading.name for reading in robot.readings)
         units = ["m" if reading.dimension == "length" else "rad" for reading in robot.readings]
         said = (
             f"{path} has poses of the flange: readings are those with which the robot of the URDF is there; where the "
@@ -332,8 +381,7 @@ def _of_flange(
         )
         urdf = ""
     titles = tuple(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True))
-    rows = {image: tuple(f"{value:.9f}" for value in row) for image, row in zip(images, values, strict=True)}
-    return titles, rows, (said,), urdf
+    return titles, [tuple(f"{value:.9f}" for value in row) for row in values], (said, *([known] if known else [])), urdf
 
 
 def _inverse(path: Path, robot: Robot, poses: Array, images: Sequence[str]) -> Array:

@@ -189,6 +189,96 @@ def test_the_flange_in_other_conventions_is_the_same_pose(folder: Path, orientat
                 assert float(a[name]) == pytest.approx(float(b[name]), abs=2e-8)
 
 
+def turned(folder: Path) -> list[tuple[str, np.ndarray, simulation.Rotation]]:
+    """Return images, places in mm and rotations of the flange as they are."""
+    rows = list(csv.reader((folder / "flange.csv").open()))[1:]
+    numbers = [np.array(list(map(float, row[1:]))) for row in rows]
+    return [
+        (row[0], n[:3], simulation.Rotation.from_quat(n[[4, 5, 6, 3]])) for row, n in zip(rows, numbers, strict=True)
+    ]
+
+
+def written(folder: Path, titles: str, rows: list[list[object]]) -> str:
+    with (folder / "other.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([["image", *titles.split()], *rows])
+    return "other.csv"
+
+
+def degrees(folder: Path, convention: str) -> str:
+    rows = [
+        [image, *p, *(R.as_rotvec(degrees=True) if convention == "" else R.as_euler(convention, degrees=True))]
+        for image, p, R in turned(folder)
+    ]
+    return written(folder, "x[mm] y[mm] z[mm] rx[deg] ry[deg] rz[deg]", rows)
+
+
+@pytest.mark.parametrize("convention", ["", "xyz", "ZYZ"])
+def test_photographs_tell_what_three_angles_are(folder: Path, convention: str) -> None:
+    assert imported(folder, "flange.csv").code == 0
+    first = list(csv.DictReader((folder / "marks.csv").open()))
+    for file in folder.glob("marks*"):
+        file.unlink()
+    said = imported(folder, degrees(folder, convention), "--json")
+    assert (said.code, said.err) == (0, "")
+    assert f"rx, ry, rz are {convention or 'rotation_vector'!r}" in json.loads(said.out)["remarks"][1]
+    again = list(csv.DictReader((folder / "marks.csv").open()))
+    for a, b in zip(first[::24], again[::24], strict=True):
+        for name in a:
+            if name.startswith("flange"):
+                assert float(a[name]) == pytest.approx(float(b[name]), abs=1e-6)
+
+
+def test_photographs_of_no_turn_do_not_tell_what_three_angles_are(folder: Path) -> None:
+    """Nor do they where there are too few."""
+    for file in sorted((folder / "photographs").iterdir())[4:]:
+        file.unlink()
+    said = imported(folder, degrees(folder, "xyz"))
+    assert said.code == 1
+    assert "rx, ry, rz do not say in which order and about which axes they turn" in said.err
+
+
+def quaternion(folder: Path, order: list[int], *, unit: str = "mm", inverse: bool = False, by: int = 0) -> str:
+    rows: list[list[object]] = []
+    for image, p, R in turned(folder):
+        q, place = (R.inv() if inverse else R).as_quat(), -R.inv().apply(p) if inverse else p
+        rows.append([image, *place, *q[order]])
+    rows = [[rows[(k + by) % len(rows)][0], *row[1:]] for k, row in enumerate(rows)]
+    return written(folder, f"x[{unit}] y[{unit}] z[{unit}] qw qx qy qz", rows)
+
+
+def by_letters(folder: Path) -> str:
+    """Photographs 1 to 10, and a row for each in the order of letters, with the poses in that of numbers."""
+    for k, file in enumerate(sorted((folder / "photographs").iterdir())):
+        file.rename(file.with_name(f"{k + 1}.png"))
+    names = sorted(f"{k + 1}.png" for k in range(IMAGES))
+    rows = [[name, *p, *R.as_quat()[[3, 0, 1, 2]]] for name, (_, p, R) in zip(names, turned(folder), strict=True)]
+    return written(folder, "x[mm] y[mm] z[mm] qw qx qy qz", rows)
+
+
+WXYZ = [3, 0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "more", "says"),
+    [
+        (lambda folder: degrees(folder, "xyz"), ("--orientation", "XYZ"), "rx, ry, rz were 'xyz'"),
+        (lambda folder: degrees(folder, ""), ("--orientation", "rpy"), "rx, ry, rz were 'rotation_vector'"),
+        (lambda folder: quaternion(folder, [0, 1, 2, 3]), (), "qw, qx, qy, qz hold x, y, z, w"),
+        (lambda folder: quaternion(folder, WXYZ, unit="m"), (), "millimetres stand under [m] in x, y, z"),
+        (lambda folder: quaternion(folder, WXYZ, inverse=True), (), "the poses are those of the base in the flange"),
+        (lambda folder: quaternion(folder, WXYZ, by=1), (), "each row is of the photograph before its own"),
+        (lambda folder: "flange.csv", ("--camera-on", "floor"), "the camera is on the flange"),
+        (by_letters, (), "images stand in the order of letters (1, 10, 2), and poses in that of numbers (1, 2, 10)"),
+    ],
+)
+def test_photographs_tell_what_is_wrong_with_poses_of_the_flange(folder: Path, wrong, more, says: str) -> None:
+    code, out, err = imported(folder, wrong(folder), *more)
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert f"it looks as if {says}" in err or says in err
+    assert "half of the photographs are off by" in err
+    assert not list(folder.glob("marks*"))
+
+
 def spoil(name: str, *change: tuple[str, str]):
     def apply(folder: Path) -> None:
         text = (folder / name).read_text()

@@ -1,0 +1,186 @@
+"""Poses of a flange held against the photographs taken there: what three angles are, and which mistake poses have.
+
+Photographs by themselves show how board and camera are to each other. One of them is at one place of the flange in all,
+the other one stands still. That fits poses that are read as they are meant, within the errors of an arm, and hardly
+any that are read otherwise.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.foundations import rigid
+from calib.foundations.arrays import Array, IntArray
+from calib.foundations.errors import MeasurementError
+from calib.foundations.units import DEG, MM
+from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
+from calib.identification.initialisation.lenses import legible
+from calib.identification.photographs import Photograph, found_optics
+from calib.measurement.columns import POSITION, stacked
+from calib.measurement.instruments import Camera, CameraPlace
+from calib.measurement.lens import BENT, CENTRE, FOCAL
+from calib.measurement.orientations import ANGLES, EULER, MAKERS, rotations_of
+from calib.measurement.table import QUATERNION_COLUMNS, Table
+
+# So many photographs decide, and no more are needed.
+_LEAST, _MOST = 6, 60
+# What is read rightly is off by less than this share of the camera's distance, and what is read otherwise by so many
+# times more: right readings of four real arms leave 0.3 to 1 %, and the nearest wrong ones 10 % and more.
+_GOOD, _CLEARLY = 0.05, 4.0
+# Of what fits so well no mistake is sought.
+_BEYOND_DOUBT = 0.01
+# Photographs that are off by so many times the median do not take part in the second fit.
+_STRAY = 3.0
+# Rotations that agree to so much are the same.
+_SAME = 1e-3
+_NUMBER = re.compile("[0-9]+")
+
+
+class Seen(NamedTuple):
+    """What photographs show: poses (n, 4, 4) of the board in the camera, and the row of the readings of each."""
+
+    boards: Array
+    rows: IntArray
+
+
+class _Off(NamedTuple):
+    """By how much half of the photographs are off at most: in m, in rad, and as a share of the camera's distance."""
+
+    length: float
+    angle: float
+    share: float
+
+    @property
+    def words(self) -> str:
+        return f"{_short(self.length / MM)} mm and {_short(self.angle / DEG)} deg"
+
+
+class _Way(NamedTuple):
+    """Another way to read poses (N, 4, 4) of a flange, and what they then look as if."""
+
+    looks_as_if: str
+    poses: Array
+
+
+def _short(value: float) -> str:
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
+
+
+def shown_by(photographs: Sequence[tuple[Array, Array]], rows: Sequence[int], size: tuple[int, int]) -> Seen | None:
+    """Return the poses that photographs of a board show, by pixels (n, 2) and marks (n, 3); None of too few."""
+    free = (*FOCAL, *CENTRE, *BENT)
+    lens = Camera("tip", free=free, size=size).lens
+    every = -(-len(rows) // _MOST) or 1
+    given = [
+        (Photograph(pixels, marks, np.zeros((len(pixels), 3, 0)), np.ones_like(pixels)), row)
+        for (pixels, marks), row in zip(photographs[::every], rows[::every], strict=True)
+    ]
+    told = [(one, row) for one, row in given if legible([one], lens)]
+    found = found_optics([one for one, _ in told], free, lens) if len(told) >= _LEAST else None
+    return None if found is None else Seen(found.poses, np.array([row for _, row in told], dtype=np.intp))
+
+
+def orientation_of(table: Table, seen: Seen | None, camera_on: CameraPlace) -> tuple[str | None, str]:
+    """Return what three angles of the flange are by the photographs, and how it is known; None where none is clear."""
+    if seen is None or not {*ANGLES, *POSITION} <= table.columns.keys():
+        return None, ""
+    turned = _turned(table)
+    tried = {way.looks_as_if: _off(way.poses, seen, camera_on) for way in turned}
+    best, *others = sorted(turned, key=lambda way: tried[way.looks_as_if].share)
+    off = tried[best.looks_as_if]
+    others = [way for way in others if not _alike(way.poses, best.poses)]
+    if off.share > _GOOD or any(tried[way.looks_as_if].share < _CLEARLY * off.share for way in others):
+        return None, ""
+    said = f"{table.where}: by the photographs, rx, ry, rz are {best.looks_as_if!r}: they are then off by {off.words}"
+    more = f", and by {tried[others[0].looks_as_if].words} with {others[0].looks_as_if!r}, the next best"
+    return best.looks_as_if, said + (more if others else "")
+
+
+def refuse_mistakes(
+    table: Table, poses: Array, seen: Seen | None, camera_on: CameraPlace, images: Sequence[str]
+) -> None:
+    """Raise MeasurementError where photographs show that poses (N, 4, 4) of the flange are meant otherwise.
+
+    ``table``: of them, as it was written. ``images``: the photograph of each row.
+    """
+    now = None if seen is None else _off(poses, seen, camera_on)
+    if seen is None or now is None or now.share < _BEYOND_DOUBT:
+        return
+    ways = list(_ways(table, poses, camera_on, images))
+    tried = [_off(way.poses, seen, camera_on) for way in ways]
+    k = int(np.argmin([off.share for off in tried]))
+    if tried[k].share < min(_GOOD, now.share / _CLEARLY):
+        raise MeasurementError(
+            f"{table.where}: it looks as if {ways[k].looks_as_if}: half of the photographs are off by {now.words} or "
+            f"more, and by {tried[k].words} with this corrected."
+        )
+
+
+def _off(poses: Array, seen: Seen, camera_on: CameraPlace) -> _Off:
+    """Return by how much photographs are off from the best place on the flange and the best one beside the robot."""
+    tips = poses[seen.rows]
+    measured = rigid.inverse(seen.boards) if camera_on == "tip" else seen.boards
+    rows = TipObservations(tips, measured[:, :3, 3], measured[:, :3, :3], np.zeros(len(tips), dtype=np.intp))
+    away = float(np.median(np.linalg.norm(seen.boards[:, :3, 3], axis=1)))
+    kept = np.ones(len(tips), dtype=np.bool_)
+    for _ in range(2):
+        base, tools, _ = base_and_tools(rows.some(kept), KnownFrames(None, None, None), np.eye(4)[None])
+        T = rigid.inverse(base @ tips @ tools[0]) @ measured
+        lengths, angles = np.linalg.norm(T[:, :3, 3], axis=1), np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)
+        off = np.hypot(lengths / away, angles)
+        kept = off <= _STRAY * float(np.median(off))
+    return _Off(float(np.median(lengths)), float(np.median(angles)), float(np.median(off)))
+
+
+def _ways(table: Table, poses: Array, camera_on: CameraPlace, images: Sequence[str]) -> Iterator[_Way]:
+    """Yield the other ways to read poses, the most typical first."""
+    R, t = poses[:, :3, :3], poses[:, :3, 3]
+    if set(ANGLES) <= table.columns.keys():
+        yield from (way._replace(looks_as_if=f"rx, ry, rz were {way.looks_as_if!r}") for way in _turned(table))
+        for factor, says in ((DEG, "degrees stand under [rad]"), (1.0 / DEG, "radians stand under [deg]")):
+            yield from (
+                way._replace(looks_as_if=f"{says} in rx, ry, rz, which are {way.looks_as_if!r}")
+                for way in _turned(table, factor)
+            )
+    if set(QUATERNION_COLUMNS) <= table.columns.keys():
+        q = stacked(table, dict.fromkeys(QUATERNION_COLUMNS, "number"))
+        for order, says in (((3, 0, 1, 2), "x, y, z, w"), ((1, 2, 3, 0), "z, w, x, y")):
+            turned = rigid.rotation_of_quaternion(q[:, list(order)])
+            yield _Way(f"qw, qx, qy, qz hold {says}", rigid.placement(turned, t))
+    yield _Way("the rotations are inverse (quaternions conjugated)", rigid.placement(R.mT, t))
+    yield _Way("millimetres stand under [m] in x, y, z", rigid.placement(R, t * MM))
+    yield _Way("metres stand under [mm] in x, y, z", rigid.placement(R, t / MM))
+    # What no photograph can tell apart.
+    beside = "the camera stands beside the robot, and the board is on the flange (camera_on = floor)"
+    on = "the camera is on the flange, and the board stands beside the robot (camera_on = tip)"
+    inverse = "or the poses are those of the base in the flange"
+    yield _Way(f"{beside if camera_on == 'tip' else on}, {inverse}", rigid.inverse(poses))
+    letters, digits = sorted(images), sorted(images, key=_numbered)
+    named = {1: "of letters (1, 10, 2)", -1: "of numbers (1, 2, 10)"}
+    for given, meant, way in ((letters, digits, 1), (digits, letters, -1)) if letters != digits else ():
+        row = {image: k for k, image in enumerate(images)}
+        of = np.zeros(len(images), dtype=np.intp)
+        of[[row[name] for name in meant]] = [row[name] for name in given]
+        yield _Way(f"images stand in the order {named[way]}, and poses in that {named[-way]}", poses[of])
+    for by, says in ((1, "before"), (-1, "after")):
+        yield _Way(f"each row is of the photograph {says} its own", np.roll(poses, -by, axis=0))
+
+
+def _turned(table: Table, factor: float = 1.0) -> list[_Way]:
+    """Return the poses of three angles as every order of turns makes them, the most usual ones first."""
+    angles = factor * stacked(table, dict.fromkeys(ANGLES, "angle"))
+    places = stacked(table, dict.fromkeys(POSITION, "length"))
+    usual = ("rotation_vector", *dict.fromkeys(MAKERS.values()))
+    return [_Way(name, rigid.placement(rotations_of(angles, name), places)) for name in dict.fromkeys((*usual, *EULER))]
+
+
+def _alike(poses: Array, others: Array) -> bool:
+    return bool(np.abs(poses - others).max() < _SAME)
+
+
+def _numbered(name: str) -> list[tuple[str, int, str]]:
+    """Return a key by which numbers in names are in their order, however many digits they have."""
+    words, numbers = _NUMBER.split(name), [number.lstrip("0") for number in _NUMBER.findall(name)]
+    return [(word, len(number), number) for word, number in zip(words, [*numbers, ""], strict=True)]
