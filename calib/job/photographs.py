@@ -31,6 +31,7 @@ from calib.measurement.formats.images import (
     Detection,
     detector,
     marker_bits,
+    may_be_old,
     read_image,
     thumbnail,
 )
@@ -195,11 +196,13 @@ def import_photographs(
     robot, said = (None, ()) if urdf is None else _arm(urdf, tip, readings)
     given = _given(readings, robot, orientation)
     remarks = said
-    detect = detector(print_)
-    seen: list[Photograph] = []
-    for file in files:
-        progress(f"looking at {file.name}")
-        seen.append(_look(file, detect))
+    seen = _looked_at(files, detector(print_), progress)
+    if may_be_old(print_) and not any(len(one.found.marks) for one in seen):
+        seen = _looked_at(files, detector(print_, old=True), progress)
+        if any(len(one.found.marks) for one in seen):
+            remarks += (
+                "the board begins with a white square, as OpenCV before 4.6 drew those of an even number of rows",
+            )
     sizes = [one.size for one in seen if not one.left_out]
     size = max(dict.fromkeys(sizes), key=sizes.count, default=(0, 0))
     named = {one.name: _named(one.name, given.images) for one in seen}
@@ -237,6 +240,16 @@ def _files(folder: Path) -> list[Path]:
     if not found:
         raise MeasurementError(f"{folder}: holds no photographs; they end with {', '.join(ENDINGS)}.")
     return found
+
+
+def _looked_at(
+    files: Sequence[Path], detect: Callable[[Array], Detection], progress: Callable[[str], None]
+) -> list[Photograph]:
+    seen: list[Photograph] = []
+    for file in files:
+        progress(f"looking at {file.name}")
+        seen.append(_look(file, detect))
+    return seen
 
 
 def _look(file: Path, detect: Callable[[Array], Detection]) -> Photograph:

@@ -279,6 +279,31 @@ def test_photographs_tell_what_is_wrong_with_poses_of_the_flange(folder: Path, w
     assert not list(folder.glob("marks*"))
 
 
+def test_a_board_as_opencv_drew_it_before_is_found(tmp_path: Path) -> None:
+    """Of an even number of rows, with a white square first: its corners are at the same places as they would be."""
+    drawn = cv2.aruco.CharucoBoard((7, 6), 0.03, 0.022, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50))
+    drawn.setLegacyPattern(True)
+    image = cv2.copyMakeBorder(drawn.generateImage((420, 360)), 90, 90, 90, 90, cv2.BORDER_CONSTANT, value=255)
+    (tmp_path / "photographs").mkdir()
+    views = [np.array([[1.0, 0.1 * k, 5.0], [-0.1 * k, 0.9, 60.0], [1e-4 * k, 2e-4, 1.0]]) for k in range(3)]
+    for k, H in enumerate(views):
+        seen = cv2.GaussianBlur(cv2.warpPerspective(image, H, (640, 600), borderValue=255), (0, 0), 0.7)
+        cv2.imwrite(str(tmp_path / "photographs" / f"{k}.png"), seen)
+    (tmp_path / "readings.csv").write_text("image,a [rad]\n0.png,0\n1.png,1\n2.png,2\n")
+    board = 'kind = "charuco"\nsquares = [7, 6]\nsquare = "30 mm"\nmarker = "22 mm"\ndictionary = "DICT_4X4_50"\n'
+    (tmp_path / "board.toml").write_text(board)
+    said = imported(tmp_path, "readings.csv", "--json")
+    assert said.code == 0, said.err
+    assert any("as OpenCV before 4.6 drew" in remark for remark in json.loads(said.out)["remarks"])
+    with (tmp_path / "marks.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) > 80
+    for row in rows:
+        place = np.array([float(row["board_x [mm]"]), float(row["board_y [mm]"])])
+        x, y, w = views[int(row["group"][0])] @ np.append(90.0 + 2.0 * place - 0.5, 1.0)
+        assert np.hypot(float(row["u [px]"]) - x / w, float(row["v [px]"]) - y / w) < 0.5
+
+
 def spoil(name: str, *change: tuple[str, str]):
     def apply(folder: Path) -> None:
         text = (folder / name).read_text()

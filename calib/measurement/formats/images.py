@@ -164,10 +164,18 @@ def thumbnail(grey: Array) -> bytes:
     return bytes(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 70])[1])
 
 
-def detector(print_: Print) -> Callable[[Array], Detection]:
-    """Return a function that finds the corners of a board in an image of grey values (h, w); there may be none."""
+def may_be_old(print_: Print) -> bool:
+    """Return whether OpenCV before 4.6, as makers of boards still do, drew this board with its markers elsewhere."""
+    return print_.kind == "charuco" and print_.squares[1] % 2 == 0
+
+
+def detector(print_: Print, *, old: bool = False) -> Callable[[Array], Detection]:
+    """Return a function that finds the corners of a board in an image of grey values (h, w); there may be none.
+
+    ``old``: of a board that :func:`may_be_old`, which then begins with a white square.
+    """
     cv2 = opencv()
-    find = _charuco(cv2, print_) if print_.kind == "charuco" else _chessboard(cv2, print_)
+    find = _charuco(cv2, print_, old=old) if print_.kind == "charuco" else _chessboard(cv2, print_)
 
     def detect(grey: Array) -> Detection:
         searched = _searched(cv2, grey)
@@ -195,11 +203,12 @@ def _searched(cv2: Any, grey: Array) -> Array:
     return grey if share == 1.0 else np.asarray(cv2.resize(grey, (w, h), interpolation=cv2.INTER_AREA))
 
 
-def _charuco(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Array, bool]]:
+def _charuco(cv2: Any, print_: Print, *, old: bool) -> Callable[[Array], tuple[IntArray, Array, bool]]:
     used, known = len(marker_bits(print_)), dictionary(print_.dictionary)
     # All that could be a marker is compared with all of these: those of the board alone.
     known = cv2.aruco.Dictionary(known.bytesList[:used], known.markerSize, known.maxCorrectionBits)
     board = cv2.aruco.CharucoBoard(print_.squares, print_.square, print_.marker, known)
+    board.setLegacyPattern(old)
     found = cv2.aruco.CharucoDetector(board)
 
     def find(grey: Array) -> tuple[IntArray, Array, bool]:
