@@ -12,7 +12,7 @@ step does not do where the tangent leads far: what it leaves unexplained would c
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -43,8 +43,8 @@ _MOST_STEPS = 4
 _SHARES = (1.0, 0.3, 0.1, 0.03)
 # Changes by less, in parameter scales, are rounding.
 _ALONE = 1e-6
-# So many rows of a set tell whether that is so.
-_ENOUGH_ROWS = 500
+# So many rows of a set tell whether that is so, and where steps lead.
+_ENOUGH_TO_NOTICE, _ENOUGH_TO_STEP = 500, 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,16 +129,11 @@ class AlongNullSpace:
 
     def _some_residuals(self) -> Callable[[Array], Array]:
         """Return whitened residuals as a function of values (p,), of many rows some for all."""
-        sets, sigmas = [], []
-        for data, sigma in zip(self.problem.measurements, self.sigmas, strict=True):
-            every = 1 if data.stream is not None else -(-len(data) // _ENOUGH_ROWS)
-            rows = np.arange(0, len(data), every)
-            sets.append(data.subset(rows) if every > 1 else data)
-            sigmas.append(sigma[rows] * np.sqrt(len(rows) / len(data)))
+        some, sigmas = self._some(_ENOUGH_TO_NOTICE, alike=True)
 
         def found(x: Array) -> Array:
-            machine = self.problem.machine(x)
-            all_of_them = residuals(self.problem.model.robot, sets, machine, self.problem.nominals)
+            machine = some.machine(x)
+            all_of_them = residuals(some.model.robot, some.measurements, machine, some.nominals)
             return np.concatenate([(r / sigma).ravel() for r, sigma in zip(all_of_them, sigmas, strict=True)])
 
         return found
@@ -146,9 +141,35 @@ class AlongNullSpace:
     def _step(self, x: Array) -> Array:
         """Return the Gauss-Newton step (p,) from x (p,), what the data hardly see staying where it is."""
         parameters = self.problem.parameters
-        rows = evaluate(self.problem, self.sigmas, x, self.rows.split).rows.whole
+        some, sigmas = self._enough_to_step
+        rows = evaluate(some, sigmas, x, self.rows.split).rows.whole
         hold = np.array([parameter.hold for parameter in parameters])
         return scales(parameters) * Inverse.of(rows.held(hold, np.zeros(len(hold)))).step
+
+    @cached_property
+    def _enough_to_step(self) -> tuple[Problem, list[Array]]:
+        return self._some(_ENOUGH_TO_STEP, alike=False)
+
+    def _some(self, enough: int, *, alike: bool) -> tuple[Problem, list[Array]]:
+        """Return the problem with so many rows of every set, some of each set-up, tool and target, and their sigmas.
+
+        All rows of streams; and those that err together, as in a photograph, or weigh less where they lie off, unless
+        all are taken to be ``alike``.
+        """
+        problem = self.problem
+        sets, sigmas = [], []
+        for i, (data, sigma) in enumerate(zip(problem.measurements, self.sigmas, strict=True)):
+            together = problem.together[i] if problem.together else None
+            every = -(-len(data) // enough)
+            plain = alike or (together is None and problem.losses[i] == "linear")
+            if every > 1 and data.stream is None and plain:
+                rows = _spread(np.stack([data.setup, data.tool, data.target]), every)
+                sets.append(data.subset(rows))
+                sigmas.append(sigma[rows] * np.sqrt(len(rows) / len(data)))
+            else:
+                sets.append(data)
+                sigmas.append(sigma)
+        return replace(problem, measurements=tuple(sets)), sigmas
 
     def _widths(self, units: Array) -> Array:
         """Return the widths (p,) of all parameters, in their scales."""
@@ -158,6 +179,15 @@ class AlongNullSpace:
         likely = [parameters[k] for k in common]
         found[common] = likely_widths(likely, -left[:, :-1], left[:, -1], (self.values / units)[common], POWER)
         return found
+
+
+def _spread(kinds: IntArray, every: int) -> IntArray:
+    """Return one of so many rows (n,) of each kind, of kinds (k, N), in order; the first one at least."""
+    _, kind = np.unique(kinds, axis=1, return_inverse=True)
+    order = np.argsort(kind.ravel(), kind="stable")
+    starts = np.flatnonzero(np.diff(kind.ravel()[order], prepend=-1))
+    within = np.arange(len(order)) - np.repeat(starts, np.diff(np.append(starts, len(order))))
+    return np.sort(order[within % every == 0])
 
 
 def _mean_fourth_power(cost: float) -> float:

@@ -1,13 +1,17 @@
 """Base and tools without a guess: exact on exact data, globally best on imperfect data."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from calib.identification.initialisation import base_and_tools as module
 from calib.identification.initialisation.base_and_tools import (
     KnownFrames,
     TipObservations,
+    _base_and_change,
     _best_rotation,
     base_and_tools,
 )
@@ -123,3 +127,24 @@ def test_the_rotation_found_is_the_best_also_where_much_is_left() -> None:
         least = min(least_squares(residual, np.zeros(3), args=(A,)).cost for A in starts)
         found = _best_rotation(X, c)
         assert 0.5 * np.sum(residual(np.zeros(3), found) ** 2) <= least * (1.0 + 1e-9)
+
+
+def test_directions_of_tools_that_positions_do_not_show_are_left_out_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tip that never turns shows no tool but beside others: of forty tools, only their differences."""
+    calls: list[int] = []
+
+    def counted(*arguments: Any) -> tuple[Array, Array]:
+        calls.append(arguments[-1].shape[2])
+        return _base_and_change(*arguments)
+
+    monkeypatch.setattr(module, "_base_and_change", counted)
+    scene = Scene(3, n=400, tools=40, noise=1e-3)
+    # Each tool is seen with the tip turned one way, up to a hundredth of a degree.
+    turns = Rotation.random(40, random_state=4).as_matrix()[scene.tool]
+    jitter = Rotation.from_rotvec(np.random.default_rng(5).normal(scale=2e-4, size=(400, 3))).as_matrix()
+    scene.tips[:, :3, :3] = turns @ jitter
+    scene.seen = scene.base @ scene.tips @ scene.tools[scene.tool]
+    scene.seen[:, :3, 3] += np.random.default_rng(6).normal(scale=0.05, size=(400, 3))
+    base_and_tools(scene.rows(turned=False), KnownFrames(None, None, scene.guess[:, :3, :3]), scene.guess)
+    assert len(calls) <= 4
+    assert calls[-1] < calls[0]

@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.assessment.advice import advice
 from calib.foundations import rigid
+from calib.identification import not_seen, system
 from calib.identification.observability import rank_findings
 from calib.identification.parameters import width
+from calib.identification.system import Problem
 from calib.robot.urdf import parse_urdf
 from scripts.development.judge_one_orientation import SCENARIOS, judge
 from scripts.studies import sigmas
@@ -159,6 +162,33 @@ def test_a_turn_of_the_flange_that_is_not_seen_is_in_the_sigma_of_a_tool_near_it
     # The other zeros are off by 10 mrad as well; noise alone is 2 um.
     assert abs(off) < 2.0 * told["tool.x"]
     assert told["tool.x"] == pytest.approx(0.01 * 5e-3, rel=0.3)
+
+
+def test_how_far_the_null_space_bends_is_told_by_some_of_many_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of every set-up, tool and target some; a step by all of them tells the same."""
+    rng = np.random.default_rng(12)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    zeros = {name: float(rng.choice([-0.01, 0.01])) for name in arm.ranges}
+    wrong = arm.with_errors(np.zeros((len(arm.joints), 6)), zeros)
+    tools = {"a": machines.pose((0.1, 5e-3, 0.1)), "b": machines.pose((0.08, -4e-3, 0.12))}
+    true = machines.Machine(wrong, machines.anywhere(rng), tools)
+    data = true.measure(robot, arm.draw(rng, 300), points=["a", "b"] * 150, rng=rng, sigma=1e-5)
+    fit = calib.identify(calib.error_model(robot, offsets="all"), data)
+    looked_at: list[int] = []
+
+    def evaluate(problem: Problem, *arguments: Any) -> Any:
+        looked_at.append(len(problem.measurements[0]))
+        assert set(problem.measurements[0].tool) == {0, 1}
+        return system.evaluate(problem, *arguments)
+
+    monkeypatch.setattr(not_seen, "evaluate", evaluate)
+    factors = []
+    for enough in (2000, 60):
+        monkeypatch.setattr(not_seen, "_ENOUGH_TO_STEP", enough)
+        factors.append(replace(fit.along_null_space).factor)
+    assert set(looked_at) == {300, 60}
+    sigmas_of = [np.linalg.norm(factor, axis=1) for factor in factors]
+    np.testing.assert_allclose(sigmas_of[1], sigmas_of[0], rtol=0.05, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -75,13 +75,18 @@ def base_and_tools(rows: TipObservations, known: KnownFrames, guess: Array) -> B
     L = np.concatenate(columns, axis=2) if columns else np.zeros((len(R), 3, 0))
     seen = L if known.base is not None else L - L.mean(axis=0)
     values, Vt, count = _best_shown(seen.reshape(3 * len(R), -1))
+    of_base = 0 if known.base is not None else 6
+    spare = rows.position.size - of_base - np.arange(1, count + 1)
+    needed = np.sqrt(rows.position.size / np.maximum(spare, 1))
     while True:
-        base, change = _base_and_change(rows, known, turned, len(guess), predicted, L @ Vt[:count].T)
-        left = np.linalg.norm((rows.position - base[:3, 3]) @ base[:3, :3] - predicted - L @ Vt[:count].T @ change)
-        spare = rows.position.size - count - (0 if known.base is not None else 6)
-        if not count or values[count - 1] * TOOL > left * np.sqrt(rows.position.size / max(spare, 1)):
+        best = L @ Vt[:count].T
+        base, change = _base_and_change(rows, known, turned, len(guess), predicted, best)
+        left = np.linalg.norm((rows.position - base[:3, 3]) @ base[:3, :3] - predicted - best @ change)
+        # Without the last ones no less is left.
+        clear = np.flatnonzero(values[:count] * TOOL > left * needed[:count])
+        if (shown := int(clear[-1]) + 1 if len(clear) else 0) == count:
             break
-        count -= 1
+        count = shown
     points = points + (Vt[:count].T @ change).reshape(-1, 3) if columns else points
     rotations = known.rotations
     if rotations is None:
@@ -152,8 +157,12 @@ def _base_and_change(
     # The mean row, which the base's translation alone explains, is taken out.
     centre = rows.position.mean(axis=0)
     y, L_c, predicted_c = rows.position - centre, L - L.mean(axis=0), predicted - predicted.mean(axis=0)
-    A = _rotation(rows, turned, known.rotations, n_tools, y, L_c, predicted_c)
-    change = _solve(L_c.reshape(3 * len(L), -1), (y @ A.T - predicted_c).ravel())
+    # A y = (y^T kron I) vec(A), column by column; the same for every column of a measured rotation.
+    X = np.einsum("ni,jk->njik", y, np.eye(3)).reshape(-1, 9)
+    whole = linear.triangle(np.column_stack([L_c.reshape(len(X), -1), X, predicted_c.ravel()]))
+    by_change, by_turn, told = whole[:, : L.shape[2]], whole[:, L.shape[2] : -1], whole[:, -1]
+    A = _rotation(rows, turned, known.rotations, n_tools, by_change, by_turn, told)
+    change = _solve(by_change, by_turn @ A.T.ravel() - told)
     return rigid.placement(A.T, centre - A.T @ (predicted + L @ change).mean(axis=0)), change
 
 
@@ -162,15 +171,11 @@ def _rotation(
     turned: BoolArray,
     rotations: Array | None,
     n_tools: int,
-    y: Array,
     L: Array,
-    predicted: Array,
+    X: Array,
+    c: Array,
 ) -> Array:
-    """Return A = R_base^T from centred positions y (N, 3) and from orientations."""
-    # A y = (y^T kron I) vec(A), column by column; the same for every column of a measured rotation.
-    X = np.einsum("ni,jk->njik", y, np.eye(3)).reshape(-1, 9)
-    triangle = linear.triangle(np.column_stack([L.reshape(len(X), -1), X, predicted.ravel()]))
-    L, X, c = triangle[:, : L.shape[2]], triangle[:, L.shape[2] : -1], triangle[:, -1]
+    """Return A = R_base^T from centred positions, ``L change = X vec(A) - c`` (q,), and from orientations."""
     U, values, _ = linear.svd(L, full_matrices=False)
     U = U[:, values > _NEGLIGIBLE * max(float(values.max(initial=0.0)), 1.0)]
     blocks = [np.column_stack([X - U @ (U.T @ X), c - U @ (U.T @ c)])]
