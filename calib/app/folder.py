@@ -44,6 +44,9 @@ TOO_LARGE = (
     f"is too large; a file may have {LARGEST_FILE // 1_000_000} MB, and all together {_LARGEST_SUM // 1_000_000} MB."
 )
 
+# What an archive may hold, for each of its bytes, or of a MB where it has fewer: of tables and meshes there are 3 to 10.
+# There could be a thousand, so that a MB would take as long to read as a table of a GB.
+MOST_OF_ARCHIVE, _SMALL_ARCHIVE = 20, 1_000_000
 # An archive is made in pieces of so many bytes.
 _PIECE = 1 << 20
 # How deep folders of a robot's description are, and how many files a person may drop with it that are of no use.
@@ -212,7 +215,7 @@ def unpacked(data: bytes, name: str, called: Mapping[str, str]) -> Iterator[tupl
     ``called``: as of :func:`apart`.
 
     Links in the archive are left out. Of a file that is too large, a byte more than may be is given. Raises OutputError
-    where the archive cannot be read, or holds nothing of use.
+    where the archive cannot be read, holds nothing of use, or unpacks to more than anything that is measured.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -229,9 +232,14 @@ def unpacked(data: bytes, name: str, called: Mapping[str, str]) -> Iterator[tupl
                 raise OutputError(
                     f"{shown(name)}: is packed by another method than the usual one (deflate); pack it anew."
                 )
+            # The sizes that an archive tells need not be so, but zipfile unpacks no more than they are.
+            most = MOST_OF_ARCHIVE * max(len(data), _SMALL_ARCHIVE)
+            if sum(inside[path].file_size for path in wanted) > most:
+                raise OutputError(
+                    f"{shown(name)}: unpacks to more than {most // 1_000_000} MB; unpack it, and drop what is in it."
+                )
             for path, its_name in wanted.items():
                 with archive.open(inside[path]) as file:
-                    # What an archive says of its sizes need not be so.
                     contents = file.read(LARGEST_FILE + 1)
                 yield kept[path], its_name, contents
     except OutputError:

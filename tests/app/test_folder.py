@@ -10,9 +10,11 @@ import time
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from calib.app.folder import (
+    MOST_OF_ARCHIVE,
     SESSION,
     apart,
     as_zip,
@@ -277,6 +279,27 @@ def test_an_archive_that_is_unpacked_without_bounds_is_refused(method: int) -> N
         archive.writestr("a.csv", b"1\n" * 1000)
     with pytest.raises(OutputError, match=r"^'arm\.zip': is packed by another method than the usual one"):
         unpacked_of(file.getvalue())
+
+
+def test_an_archive_holds_no_more_than_is_made_of_what_was_measured() -> None:
+    """Of 577 kB became two tables of 198 MB, and each kept `calib check` busy for more than a minute."""
+    half = bytes(MOST_OF_ARCHIVE * 500_000)
+    assert len(unpacked_of(packed({"a.csv": half, "b.csv": half}))) == 2
+    refused = r"^'arm\.zip': unpacks to more than 20 MB; unpack it, and drop what is in it\.$"
+    with pytest.raises(OutputError, match=refused):
+        unpacked_of(packed({"a.csv": half, "b.csv": half, "c.csv": b"1"}))
+    # What is of no use is not unpacked.
+    assert list(unpacked_of(packed({"a.csv": half, "a.bin": half, "b.bin": half}))) == ["a.csv"]
+    # A larger archive may hold more.
+    noise = np.random.default_rng(0).bytes(1_500_000)
+    assert list(unpacked_of(packed({"a.csv": half + half, "b.csv": noise}))) == ["a.csv", "b.csv"]
+
+
+def test_an_archive_that_tells_less_than_it_holds_is_refused() -> None:
+    data, said = packed({"a.csv": bytes(300_000)}), (300_000).to_bytes(4, "little")
+    assert data.count(said) == 2
+    with pytest.raises(OutputError, match=r"^'arm\.zip': is no archive that can be read\.$"):
+        unpacked_of(data.replace(said, (3).to_bytes(4, "little")))
 
 
 def test_an_archive_that_is_dropped_again_is_unpacked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
