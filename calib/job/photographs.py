@@ -49,6 +49,8 @@ IMAGE = "image"
 LEAST_PHOTOGRAPHS = 3
 # What is written of a pixel and of its sigma: a ten-thousandth.
 _DIGITS = 4
+# How much farther than the poses a flange may go, and at least, in m.
+_FARTHER, _LEAST_TRAVEL = 2.0, 0.1
 _FLANGE = ("flange_x", "flange_y", "flange_z", "flange_rz", "flange_ry", "flange_rx")
 # One of these columns beside a position makes it a pose.
 _TURNED = {"qw", "rx", "r11"}
@@ -384,7 +386,7 @@ def _of_flange(
         values = np.column_stack([poses[:, :3, 3], angles[:, ::-1]])
         names: tuple[str, ...] = _FLANGE
         said = f"{path} has poses of the flange, and no robot is given: hand-eye alone, the robot as it is"
-        units, urdf = ["m"] * 3 + ["rad"] * 3, flange_urdf()
+        units, urdf = ["m"] * 3 + ["rad"] * 3, flange_urdf(poses[:, :3, 3])
     else:
         values, names = _inverse(path, robot, poses, given.images), tuple(reading.name for reading in robot.readings)
         units = ["m" if reading.dimension == "length" else "rad" for reading in robot.readings]
@@ -416,6 +418,12 @@ def _inverse(path: Path, robot: Robot, poses: Array, images: Sequence[str]) -> A
     return readings
 
 
-def flange_urdf() -> str:
-    """Return a URDF of six axes that put a flange anywhere: its readings are the flange's pose itself."""
-    return files("calib.job").joinpath("flange.urdf").read_text(encoding="utf-8")
+def flange_urdf(places: Array) -> str:
+    """Return a URDF of six axes that put a flange anywhere: its readings are the flange's pose itself.
+
+    It reaches twice as far as the ``places`` (n, 3): how far an arm reaches says what is large and small for it.
+    """
+    text = files("calib.job").joinpath("flange.urdf").read_text(encoding="utf-8")
+    for axis, farthest in zip("xyz", np.maximum(np.abs(places).max(axis=0), _LEAST_TRAVEL), strict=True):
+        text = text.replace(f"@{axis}@", f"{_FARTHER * farthest:.3g}")
+    return text

@@ -87,6 +87,20 @@ def test_poses_of_the_flange_alone_give_hand_eye(folder: Path, session: simulati
     assert found["board.scale"]["value"] == pytest.approx(session.sheet.scale, abs=5e-4)
 
 
+def test_a_place_of_the_flange_that_was_mistyped_is_named(tmp_path: Path) -> None:
+    """What strays is measured by how far the flange goes, not by how far the axes go that stand for it."""
+    simulation.write(tmp_path, small_session(SEED, 18), SEED)
+    rows = list(csv.reader((tmp_path / "flange.csv").open()))
+    rows[2][1] = f"{float(rows[2][1]) + 200.0:.9f}"
+    with (tmp_path / "flange.csv").open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    assert imported(tmp_path, "flange.csv").code == 0
+    said = run("check", tmp_path / "marks.toml").out.replace("\n", " ")
+    found = re.search(r"photographs are off from where all others put them: 'image_001.png' by (\d+) mm", said)
+    assert found is not None, said
+    assert 190 < int(found[1]) < 210
+
+
 def test_poses_of_the_flange_and_a_urdf_give_readings(folder: Path, session: simulation.Session) -> None:
     """A nominal arm whose controller states the pose has these readings, or those of another configuration."""
     nominal = [session.arm.tip(q, nominal=True) for q in session.readings]
