@@ -1,8 +1,12 @@
 """Which cause is named, by mean squares of photographs held out, and what is to be done next."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from calib.assessment.blame import Blame, Cause, _named
+from calib.assessment.checks.of_fit import stated_sigma
+from calib.identification.noise import Noise
 
 
 @pytest.mark.parametrize(
@@ -26,3 +30,15 @@ def test_sharper_photographs_are_asked_for_where_corners_are_most_of_what_is_lef
     causes = (Cause("scale", 0.0, 0.4, 7e-4), Cause("shape", 0.5, 2.2, 5e-4))
     found = Blame(causes, 2.0, 1.9, corners, 15e-4, None, lens_held=False)
     assert found.advice.startswith(f"To be surer where the tool is, {says}")
+
+
+@pytest.mark.parametrize(
+    ("free", "says"), [(False, "the arm is taken as it is stated"), (True, "the sigma is far too small")]
+)
+def test_an_arm_that_is_held_is_named_where_corners_are_far_better(free: bool, says: str) -> None:
+    noise = Noise(0, "pixels", instrument=0.02, model=1.6, degrees_of_freedom=3000.0, chi_square=6000.0)
+    parameters = [SimpleNamespace(of_robot=False), SimpleNamespace(of_robot=free)]
+    fit = SimpleNamespace(noise=[noise], parameters=parameters, measurements=[])
+    check = stated_sigma(fit)  # type: ignore[arg-type]
+    assert not check.passed
+    assert check.sentence.startswith("The pixels residuals scatter 80 times as much as the stated sigma: " + says)

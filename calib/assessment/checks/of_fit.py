@@ -76,7 +76,12 @@ def stated_sigma(fit: Fit) -> Check:
         if not worst / limit >= times / allowed:
             worst, limit = times, allowed
             said = f"The {noise.quantity} residuals scatter {times:.2g} times as much as the stated sigma"
-            if times > allowed:
+            if times > allowed and noise.quantity == "pixels" and not any(p.of_robot for p in fit.parameters):
+                said += (
+                    ": the arm is taken as it is stated, and corners of photographs are found so well that its own "
+                    "errors show; where its joints and a URDF are known, they tell more."
+                )
+            elif times > allowed:
                 said += ": the sigma is far too small, or an effect is missing from the model."
             else:
                 said += "; the sigma seems too large." if times < 1.0 / TOO_LARGE else "."
