@@ -64,6 +64,11 @@ def test_two_commands_lead_from_photographs_to_a_calibrated_arm(folder: Path, se
     assert abs(value - session.sheet.scale) < 3.0 * sigma
     assert result["metrics"]["validation"]["after"]["pixels"]["rms"] < 0.1
     assert [choice["chosen"] for choice in result["optics"]] == [1]
+    said = run("verify", folder / "out", folder / "marks.csv")
+    assert said.code == 1
+    assert (
+        "pixels of photographs are not verified; name this table in a [[measurements]] of the job, with use" in said.err
+    )
 
 
 def test_a_job_names_its_files_whatever_they_are_called(folder: Path) -> None:
