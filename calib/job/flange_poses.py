@@ -86,7 +86,8 @@ def orientation_of(table: Table, seen: Seen | None, camera_on: CameraPlace) -> t
     """Return what three angles of the flange are by the photographs, and how it is known; None where none is clear."""
     if seen is None or not {*ANGLES, *POSITION} <= table.columns.keys():
         return None, ""
-    turned = _turned(table)
+    turned = [way._replace(poses=way.poses[seen.rows]) for way in _turned(table)]
+    seen = seen._replace(rows=np.arange(len(seen.rows)))
     tried = {way.looks_as_if: _off(way.poses, seen, camera_on) for way in turned}
     best, *others = sorted(turned, key=lambda way: tried[way.looks_as_if].share)
     off = tried[best.looks_as_if]
@@ -108,13 +109,13 @@ def refuse_mistakes(
     now = None if seen is None else _off(poses, seen, camera_on)
     if seen is None or now is None or now.share < _BEYOND_DOUBT:
         return
-    ways = list(_ways(table, poses, camera_on, images))
-    tried = [_off(way.poses, seen, camera_on) for way in ways]
-    k = int(np.argmin([off.share for off in tried]))
-    if tried[k].share < min(_GOOD, now.share / _CLEARLY):
+    # One after the other: a table may have far more rows than photographs.
+    tried = ((_off(way.poses, seen, camera_on), way.looks_as_if) for way in _ways(table, poses, camera_on, images))
+    best, looks_as_if = min(tried, key=lambda one: one[0].share)
+    if best.share < min(_GOOD, now.share / _CLEARLY):
         raise MeasurementError(
-            f"{table.where}: it looks as if {ways[k].looks_as_if}: half of the photographs are off by {now.words} or "
-            f"more, and by {tried[k].words} with this corrected."
+            f"{table.where}: it looks as if {looks_as_if}: half of the photographs are off by {now.words} or more, and "
+            f"by {best.words} with this corrected."
         )
 
 
@@ -168,12 +169,13 @@ def _ways(table: Table, poses: Array, camera_on: CameraPlace, images: Sequence[s
         yield _Way(f"each row is of the photograph {says} its own", np.roll(poses, -by, axis=0))
 
 
-def _turned(table: Table, factor: float = 1.0) -> list[_Way]:
-    """Return the poses of three angles as every order of turns makes them, the most usual ones first."""
+def _turned(table: Table, factor: float = 1.0) -> Iterator[_Way]:
+    """Yield the poses of three angles as every order of turns makes them, the most usual ones first."""
     angles = factor * stacked(table, dict.fromkeys(ANGLES, "angle"))
     places = stacked(table, dict.fromkeys(POSITION, "length"))
     usual = ("rotation_vector", *dict.fromkeys(MAKERS.values()))
-    return [_Way(name, rigid.placement(rotations_of(angles, name), places)) for name in dict.fromkeys((*usual, *EULER))]
+    for name in dict.fromkeys((*usual, *EULER)):
+        yield _Way(name, rigid.placement(rotations_of(angles, name), places))
 
 
 def _alike(poses: Array, others: Array) -> bool:
