@@ -7,7 +7,9 @@ from typing import Literal
 import numpy as np
 
 from calib.foundations import rigid
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.errors import JobError
 from calib.foundations.linear import ROUNDING, svd
 from calib.foundations.showing import shower
 from calib.identification.arrow import Covariance
@@ -180,11 +182,15 @@ class Fit:
         """Parameters (p,) that are determined, but not better than half their parameter scale."""
         return np.asarray(self.sigmas > 0.5 * scales(self.parameters))
 
+    @checked
     def told_covariance(self, parameters: IntArray) -> Array:
-        """Return the covariance (k, k) of some parameters, by number, as :attr:`sigmas` tell it.
+        """Return the covariance (k, k) of some parameters, by number (k,), as :attr:`sigmas` tell it.
 
-        Of parameters that are not identifiable it is that of the chosen frame.
+        Of parameters that are not identifiable it is that of the chosen frame. Raises JobError for other numbers.
         """
+        count = len(self.parameters)
+        if parameters.ndim != 1 or np.any((parameters < -count) | (parameters >= count)):
+            raise JobError(f"told_covariance: parameters is no array of numbers from 0 to {count - 1}.")
         moved = self._beside_noise[parameters]
         return np.asarray(self.spread.of(parameters) + moved @ moved.T)
 

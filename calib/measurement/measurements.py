@@ -217,8 +217,14 @@ class Measurements:
         return placed if self.points is None else np.asarray(placed @ rigid.translation(self.points))
 
     def link_of(self, target: int) -> str | None:
-        """Return the link that carries a target, by its number; None where it stands on the floor."""
-        return self.target_links.get(self.targets[target]) if target >= 0 else None
+        """Return the link that carries a target, by its number; None where it stands on the floor.
+
+        Raises MeasurementError where there is no such target.
+        """
+        try:  # it is asked for every row
+            return self.target_links.get(self.targets[target]) if target >= 0 else None
+        except (IndexError, TypeError) as e:
+            raise MeasurementError(f"{self.where}: there is no such target among {len(self.targets)} ({e}).") from e
 
     @property
     def seen_targets(self) -> tuple[str, ...]:
@@ -296,6 +302,10 @@ class Measurements:
 
         Raises MeasurementError when there are no such rows.
         """
+        if np.ndim(rows) != 1:
+            raise MeasurementError(
+                f"{self.where}: rows are a list of numbers, or a mask, and no {np.ndim(rows)}-d array."
+            )
         try:
             index = np.arange(len(self))[np.asarray(rows, dtype=None if len(rows) else np.intp)]
         except IndexError as e:

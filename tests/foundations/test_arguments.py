@@ -176,6 +176,12 @@ def test_slips_of_python_users_are_sentences() -> None:
         (lambda: calib.measuring.Payload("5 kg"), "Payload: mass is '5 kg'; needs a number."),  # type: ignore[arg-type]
         (lambda: calib.Deviations(None, np.zeros(6)), "Deviations: placements is None; needs an array of numbers."),  # type: ignore[arg-type]
         (lambda: data.subset([99]), "there are no such rows among 60"),
+        (lambda: data.subset(np.array(3)), "rows are a list of numbers, or a mask, and no 0-d array."),
+        (lambda: data.link_of(7), "there is no such target among 0 (tuple index out of range)."),
+        (lambda: data.link_of("a"), "there is no such target among 0"),  # type: ignore[arg-type]
+        (lambda: fit.told_covariance(np.array([999])), "told_covariance: parameters is no array of numbers from 0 to"),
+        (lambda: fit.told_covariance(np.array(0)), "told_covariance: parameters is no array of numbers from 0 to"),
+        (lambda: fit.told_covariance([0]), "told_covariance: parameters is [0]; needs an array of whole numbers."),  # type: ignore[arg-type]
         (lambda: calib.assess(fit, data=[]), "data: there are no tables to judge the fit by."),
         (lambda: calib.planning.Views(data), "Views: fit is a Measurements; needs a Fit."),  # type: ignore[arg-type]
         (lambda: calib.planning.roughly([0.1]), "tool: needs three lengths x, y, z in m."),
