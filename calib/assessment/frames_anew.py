@@ -26,8 +26,6 @@ _FEWEST = 3
 _NEARLY_NOT, _HARDLY = 1e-6, 1e-2
 # A machine that has not changed is failed once in so many tests.
 SIGNIFICANCE = 0.01
-# Entries of twists of length one that differ by rounding alone.
-_SAME_AXIS = 1e-9
 
 
 def not_shown(machine: CalibratedMachine, data: Measurements, what: Anew) -> str | None:
@@ -114,30 +112,33 @@ def offset_alike(
     what: Anew,
     whitened: Callable[[Array], Array],
 ) -> str | None:
-    """Return the reading whose offset, changed, moves the arm as all frames ``found`` anew; None without one.
+    """Return the reading whose offset, changed, explains the rows as all frames ``found`` anew do; None without one.
 
     ``whitened``: what whitens residuals (N, d, k), to (N d, k). The first joint turns the arm as a base that moves, and
-    the last one as a tool.
+    the last one as a tool; so does, nearly, one whose axis is nearly at the same place in all rows. Of several, the
+    one that explains them best.
     """
     tips, by_reading = TipModel(machine.robot, machine.deviations).driven(data.readings, data.conditions)
     # In the axes of the base a joint that nothing carries moves the tip about the same axis wherever it is; in those of
     # the tip, one that carries nothing else.
     twists = rigid.adjoint(tips) @ by_reading if what == "base" else by_reading
-    twists /= np.maximum(np.linalg.norm(twists, axis=1, keepdims=True), np.finfo(float).tiny)
+    frames, moved, by_offset = list[Array](), np.zeros(data.sigma.shape), np.zeros((*data.sigma.shape, twists.shape[2]))
+    for name, columns in _by_frame(found, data, what):
+        move, by_twist = _move(machine, found, name, what, columns.shape[2])
+        frames.append(columns)
+        moved += columns @ move
+        by_offset += columns @ by_twist @ twists
+    B, told = whitened(np.concatenate(frames, axis=2)), whitened((found.residuals(data) + moved)[:, :, None])[:, 0]
+    by_frames, _, rank, _ = np.linalg.lstsq(B, told)
+    left = told - B @ by_frames
+    J = whitened(by_offset)
+    rest = told[:, None] - J * (told @ J / np.maximum((J * J).sum(axis=0), np.finfo(float).tiny))
+    more = (rest * rest).sum(axis=0) - left @ left
+    best = int(np.argmin(more))
     freedom = float(row_freedom(machine, data).min())
-    moves = [
-        (whitened(columns), move, by_twist)
-        for columns, (move, by_twist) in (
-            (columns, _move(machine, found, name, what, columns.shape[2]))
-            for name, columns in _by_frame(found, data, what)
-        )
-    ]
-    for j, reading in enumerate(machine.robot.readings):
-        twist = twists[0, :, j]
-        same_axis = np.allclose(twists[:, :, j], twist, rtol=0.0, atol=_SAME_AXIS)
-        if same_axis and all(_explains(B, by_twist @ twist, move, freedom) for B, move, by_twist in moves):
-            return reading.name
-    return None
+    if exceeded(float(more[best]), max(int(rank) - 1, 1), freedom) < SIGNIFICANCE:
+        return None
+    return str(machine.robot.readings[best].name)
 
 
 def _move(
@@ -153,13 +154,6 @@ def _move(
     # In the middle of its way a point that turns moves straight to its end.
     middle = rigid.translation(0.5 * shift if size == 3 else np.zeros(3))
     return move, rigid.adjoint(rigid.inverse(before @ middle))[:size]
-
-
-def _explains(columns: Array, a: Array, b: Array, freedom: float) -> bool:
-    """Return whether a multiple of a move a (k,) explains a move b (k,), by how whitened rows follow them (n, k)."""
-    one, other = columns @ a, columns @ b
-    rest = other - one * float(one @ other) / max(float(one @ one), np.finfo(float).tiny)
-    return bool(exceeded(float(rest @ rest), columns.shape[1] - 1, freedom) >= SIGNIFICANCE)
 
 
 def frame_columns(machine: CalibratedMachine, data: Measurements, what: Anew) -> Array:

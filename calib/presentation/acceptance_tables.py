@@ -17,8 +17,8 @@ from calib.presentation.sheets import SHOWN, figures_in, signed
 # So many times larger than stated are errors of which a test of few rows finds half, that it is said.
 _SURELY = 1.5
 _ELSEWHERE: dict[Anew, str] = {
-    "base": "the arm is as calibrated, but stands elsewhere",
-    "tool": "the arm is as calibrated, but carries another tool, or its tool elsewhere",
+    "base": "as far as these rows show, the arm is as calibrated, but stands elsewhere",
+    "tool": "as far as these rows show, the arm is as calibrated, but carries another tool, or its tool elsewhere",
     "both": "these rows do not show that the arm itself has changed",
 }
 # Three shifts and three turns.

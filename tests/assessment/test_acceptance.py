@@ -128,7 +128,9 @@ def test_a_tool_that_moved_is_found_anew_and_said(observes: str) -> None:
     said = " ".join(map(str, verification_lines(standing)))
     turn = " and 1.2" if observes == "pose" else " explains them: "
     assert re.search(rf"A tool moved by 2\.[12]\d\d mm{turn}", said), said
-    assert "the arm is as calibrated, but carries another tool, or its tool elsewhere." in said
+    assert (
+        "as far as these rows show, the arm is as calibrated, but carries another tool, or its tool elsewhere." in said
+    )
     assert "the arm itself has changed" not in said
     contents = found.contents()
     assert (contents["base_refitted"], contents["tool_refitted"]) == (False, True)
@@ -172,6 +174,41 @@ def test_an_offset_of_the_last_joint_looks_like_a_tool_that_moved() -> None:
         assert "or the offset of 'wrist_3_joint' has changed, which looks the same." in said
         moved = replace(true, tools={"tool": true.tools["tool"] @ pose((0.0, 0.0, 2e-3))})
         assert verify(u, seen(moved, 12, 7, observes)).anew["tool"].or_offset_of is None
+
+
+def test_an_offset_of_any_joint_that_explains_the_rows_is_told() -> None:
+    """At poses near one another, a joint within the arm moves the tip as a base or a tool that moved."""
+    _, true, _ = machine()
+    u, robot = machine_of(calibrated(true, 1)), machines.load(*UR10)
+    rng = np.random.default_rng(3)
+    near = np.array([0.4, -1.1, 1.3, -0.8, 0.9, 0.5]) + rng.uniform(-0.05, 0.05, (12, 6))
+    for joint in ("shoulder_lift_joint", "elbow_joint", "wrist_2_joint"):
+        found = verify(u, with_zero(true, joint, 2e-3).measure(robot, near, "position", rng=rng, sigma=SIGMA))
+        assert not found.passed
+        explain = [anew for anew in (found.anew["base"], found.anew["tool"]) if anew.judgement.test.passed]
+        assert explain
+        assert [anew.or_offset_of for anew in explain] == [joint] * len(explain)
+
+
+def test_no_offset_is_told_by_which_tools_would_turn_to_both_sides() -> None:
+    _, true, _ = machine()
+    robot, rng = machines.load(*UR10), np.random.default_rng(3)
+    true = replace(true, tools={"one": pose((0.05, 0.02, 0.15)), "two": pose((-0.06, 0.03, 0.1))})
+    readings = machines.arm(*UR10).draw(rng, 80)
+    model = calib.error_model(robot, offsets="all", placements="all")
+
+    def measured(of: Machine, readings: Array) -> calib.Measurements:
+        names = ["one", "two"] * (len(readings) // 2)
+        return of.measure(robot, readings, "position", points=names, rng=rng, sigma=SIGMA)
+
+    u = machine_of(calib.identify(model, measured(true, readings)))
+    readings = machines.arm(*UR10).draw(rng, 20)
+    for of_one, of_two, told in ((0.01, 0.01, "wrist_3_joint"), (0.01, -0.02, None)):
+        turns = {"one": pose(rotvec=(0.0, 0.0, of_one)), "two": pose(rotvec=(0.0, 0.0, of_two))}
+        turned = replace(true, tools={name: turns[name] @ tool for name, tool in true.tools.items()})
+        tool = verify(u, measured(turned, readings)).anew["tool"]
+        assert tool.judgement.test.passed
+        assert tool.or_offset_of == told
 
 
 def test_one_of_several_tools_is_found_anew() -> None:
