@@ -44,7 +44,7 @@ TOO_LARGE = (
     f"is too large; a file may have {LARGEST_FILE // 1_000_000} MB, and all together {_LARGEST_SUM // 1_000_000} MB."
 )
 
-# What an archive may hold, for each of its bytes, or of a MB where it has fewer: tables and meshes have 3 to 10 each.
+# What an archive may hold, for each of its bytes, or of a MB where it has fewer: tables and meshes have 3 to 10.
 # There could be a thousand, so that a MB would take as long to read as a table of a GB.
 MOST_OF_ARCHIVE, _SMALL_ARCHIVE = 20, 1_000_000
 # An archive is made in pieces of so many bytes.

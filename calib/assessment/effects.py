@@ -15,7 +15,7 @@ remember (W. K. Newey, K. D. West, Econometrica 55, 1987, with blocks).
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import takewhile
+from itertools import pairwise, takewhile
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -94,8 +94,9 @@ def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> E
     if not parts:
         return NO_EFFECT
     r, d = (np.concatenate([x.ravel() for x in xs]) for xs in ([part.r for part in parts], directions))
-    J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts])
-    left = d - J @ (C @ (J.T @ d))
+    both = [(part.J.reshape(-1, len(C)), own.ravel()) for part, own in zip(parts, directions, strict=True)]
+    taken = C @ np.sum([J.T @ own for J, own in both], axis=0)
+    left = np.concatenate([own - J @ taken for J, own in both])
     M = float(left @ left)
     if not _TAKEN * float(d @ d) < M:
         return NO_EFFECT
@@ -165,7 +166,8 @@ def _besides(parts: Sequence[Stretch], motions: Sequence[Array], C: Array) -> tu
     values, V = values[kept], V[:, kept]
     sizes = -(V.T @ g) / values
     # What the parameters leave of it: so the covariance has no terms of both.
-    left = [(Z - part.J @ (C @ S.T)) @ V for Z, part in both]
+    taken = C @ S.T @ V
+    left = [Z @ V - (part.J.reshape(-1, len(C)) @ taken).reshape(*Z.shape[:2], -1) for Z, part in both]
     # A fit that ended a hair early leaves some along its parameters, and that is no motion they nearly take up.
     kept = np.sum([_grown(part.r, L, sizes) for L, part in zip(left, parts, strict=True)], axis=0) < _GROWN
     if not kept.any():
@@ -514,14 +516,19 @@ def _apart(
     return Step(what, whole.data.where, 0, size, min(1.0, things * _chance(score, rest, part)))
 
 
+def _summed(Z: Array, of: Array, places: IntArray) -> Array:
+    """Return the sums (s, k, p) of ``Z^T of`` over the rows before each place, of Z (n, d, k) and ``of`` (n, d, p)."""
+    runs = pairwise((0, *places.tolist()))
+    return np.cumsum([np.tensordot(Z[a:b], of[a:b], ((0, 1), (0, 1))) for a, b in runs], axis=0)
+
+
 def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step | None:
     n, d = part.r.shape
     if n < 4 * _LEAST_ROWS:
         return None
     places = np.unique(np.linspace(_LEAST_ROWS, n - _LEAST_ROWS, _MOST_SPLITS).astype(np.intp))
     J = part.J.reshape(n * d, -1)
-    turned = np.swapaxes(Z, 1, 2)
-    S, g, A = (np.cumsum(turned @ of, axis=0)[places - 1] for of in (part.J, part.r[:, :, None], Z))
+    S, g, A = (_summed(Z, of, places) for of in (part.J, part.r[:, :, None], Z))
     scores = score_test(A, S, g[:, :, 0], C, part.widths)
     best = int(np.argmax(scores.gain))
     score, place = Score(*(of[best] for of in scores)), int(places[best])

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.assessment.influence import Residue
-from calib.foundations.arrays import Array, IntArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.identification.parameters import scales
 from calib.identification.repeats import Repeats, by_pose
 from calib.identification.system import Problem
@@ -74,7 +74,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
     wide = replace(fit.model, offsets=read, placements=(), terms=(), base="pose", tool="pose", setups={})
     names_of = fit.measurements[0]
     parameters = wide.parameters(names_of.tools, names_of.setups)
-    kinds = np.array([parameter.kind for parameter in parameters])
+    kinds = [np.array([parameter.kind == kind for parameter in parameters]) for kind in ("base", "tool", "offset")]
     names = [parameter.name.removesuffix(".offset") for parameter in parameters if parameter.kind == "offset"]
     readings = [reading.name for reading in robot.readings]
     # A joint that another drives has no reading of its own.
@@ -99,15 +99,14 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
         together = together and together.drawn(rows, np.zeros_like(rows))
         less = _as_it_is if together is None else together.less
         at = Problem(wide, parameters, fit.machine.frames, (part,))
-        W = less(np.concatenate([b.J for b in at.rates(fit.machine, units).blocks(part)]) / sigma * w)
+        moved = [_moved(b.J, *kinds) for b in at.rates(fit.machine, units).blocks(part)]
+        by_base, tool, by_offset = (less(np.concatenate(one) / sigma * w) for one in zip(*moved, strict=True))
         mine = replace(residue.problem, measurements=(part,), parameters=judged)
-        blocks = list(mine.rates(fit.machine, scales(judged)).blocks(part))
-        J = less(np.concatenate([b.J for b in blocks]) / sigma * w)
-        left = np.concatenate([b.observed.residual for b in blocks])
+        J, left = np.empty((*part.sigma.shape, len(judged))), np.empty(part.sigma.shape)
+        for b in mine.rates(fit.machine, scales(judged)).blocks(part):
+            J[b.rows], left[b.rows] = b.J / sigma[b.rows] * w[b.rows], b.observed.residual
+        J = less(J)
         r = less(left[:, :, None] / sigma * w)[:, :, 0]
-        tool = W[:, :, kinds == "tool"].reshape(*W.shape[:2], -1, 6).sum(axis=2)
-        by_offset = W[:, :, kinds == "offset"]
-        by_base = W[:, :, kinds == "base"].reshape(*W.shape[:2], -1, 6).sum(axis=2)
         rates, step = _rates(data, fit.machine.frames.scalars)
         found.append(
             Stretch(
@@ -129,7 +128,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 step,
                 poses_of(part, pieces=True),
                 data,
-                float(np.sum((J @ residue.C) * J)),
+                _taken_up(J, residue.C),
                 float(np.sqrt(np.mean((part.sigma / sigma[:, :, 0]) ** 2))),
                 (_ROUNDING / float(residue.sigma[i].min())) ** 2,
                 together,
@@ -137,6 +136,21 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
             )
         )
     return tuple(found)
+
+
+def _moved(J: Array, base: BoolArray, tool: BoolArray, offset: BoolArray) -> tuple[Array, Array, Array]:
+    """Return what moving the base, and the tool, of a row's own does to it (n, d, 6), and what offsets do (n, d, k).
+
+    ``base``, ``tool`` and ``offset`` (p,): which parameters are these, of how many set-ups and tools there are.
+    """
+    by_base, by_tool = (J[:, :, own].reshape(*J.shape[:2], -1, 6).sum(axis=2) for own in (base, tool))
+    return by_base, by_tool, J[:, :, offset]
+
+
+def _taken_up(J: Array, C: Array) -> float:
+    """Return how many of the numbers J (n, d, k) is of the parameters take up: the trace of J C J^T."""
+    rows = J.reshape(-1, len(C))
+    return float(np.sum((rows.T @ rows) * C))
 
 
 def by_photograph(part: Stretch) -> Stretch:
@@ -177,7 +191,7 @@ def pose_by_pose(part: Stretch, C: Array) -> Stretch:
         return part
     run = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(part.pose))))
     found = as_means(part, run)
-    return replace(found, used=float(np.sum((found.J @ C) * found.J)))
+    return replace(found, used=_taken_up(found.J, C))
 
 
 def as_means(part: Stretch, number: IntArray) -> Stretch:

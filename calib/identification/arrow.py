@@ -129,7 +129,16 @@ class Collected:
         self._place = np.full(blocks + 1, -1, dtype=np.intp)
         self._place[which] = np.arange(len(which))
         self.heads = Heads(which, np.zeros((len(which), a, a + c + 1)))
-        self.rest = np.empty((0, c + 1))
+        self._rest = linear.Gathered(c + 1)
+
+    @property
+    def rest(self) -> Array:
+        """The triangle (q, c + 1) of what sees nothing of a block."""
+        return self._rest.triangle
+
+    def forget(self) -> None:
+        """Begin the rest anew."""
+        self._rest = linear.Gathered(self._c + 1)
 
     def add(self, rows: Array, own: Array | None, block: IntArray | None) -> None:
         """Add rows: ``rows`` (n, d, c + 1) ``[C r]``, ``own`` (n, d, a) and ``block`` (n,), -1 for none."""
@@ -137,8 +146,7 @@ class Collected:
         if own is not None and block is not None:
             place = self._place[block]
             left += self._folded(np.concatenate([own, rows], axis=2)[place >= 0], place[place >= 0])
-        more = np.concatenate([part.reshape(-1, self._c + 1) for part in left])
-        self.rest = linear.triangle(np.concatenate([self.rest, more]))
+        self._rest.add(*left)
 
     def _folded(self, rows: Array, place: IntArray) -> list[Array]:
         """Take rows (n, d, a + c + 1) into the heads of their blocks, and return what is left."""

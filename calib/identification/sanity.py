@@ -140,10 +140,10 @@ def _signatures(model: ErrorModel, sets: Sequence[Measurements], camera_on: Came
     if not filled:
         return ()
     sets = tuple(_spread_rows(data, filled) for data in with_common_names(model, filled))
-    unknowns = len(_problem(_ordinary(model), sets).parameters)
-    if sum(data.sigma.size for data in sets) < _NUMBERS_PER_UNKNOWN * unknowns:
+    problem, reach = _problem(_ordinary(model), sets), model.robot.reach
+    if sum(data.sigma.size for data in sets) < _NUMBERS_PER_UNKNOWN * len(problem.parameters):
         return ()
-    missed, reach = _miss(model, sets), model.robot.reach
+    missed = _missed(problem)
     # One number of a row, such as a length, shows a third of the square of an error in space.
     shown = min(3.0, sum(data.sigma.size for data in sets) / sum(map(len, sets))) / 3.0
     if missed < _GOOD * reach * float(np.sqrt(shown)):
@@ -189,19 +189,23 @@ def _ordinary(model: ErrorModel) -> ErrorModel:
 
 
 def _miss(model: ErrorModel, sets: Sequence[Measurements], evaluations: int | None = None) -> float:
-    """Return the rms over the rows, in m, that base, tool and ordinary offsets leave; turns weigh times the reach.
+    """Return :func:`_missed` of base, tool and ordinary offsets."""
+    return _missed(_problem(_ordinary(model), sets), evaluations)
+
+
+def _missed(problem: Problem, evaluations: int | None = None) -> float:
+    """Return the rms over the rows, in m, that what is unknown leaves; turns weigh times the reach.
 
     Gauss-Newton from the best base and tool: priors hold the offsets back while much is unexplained, and limits always.
     Without ``evaluations``, as many as are usual. Where a step opens a closed loop, what was missed before it counts.
     """
+    parameters, sets, robot = problem.parameters, problem.measurements, problem.model.robot
     if evaluations is None:
         evaluations = _EVALUATIONS if _seen(sets) else _EVALUATIONS_UNSEEN
-    problem = _problem(_ordinary(model), sets)
-    parameters, frames, sets = problem.parameters, problem.reference, problem.measurements
-    units = np.repeat([1.0, 1.0 / model.robot.reach], 3)
+    units = np.repeat([1.0, 1.0 / robot.reach], 3)
     sigmas = [np.broadcast_to(units[: data.sigma.shape[1]], data.sigma.shape) for data in sets]
     s = scales(parameters)
-    z = values_at(model.robot, parameters, frames) / s
+    z = values_at(robot, parameters, problem.reference) / s
     of_robot = np.array([parameter.of_robot for parameter in parameters])
     limit = np.where(of_robot, _MOST_ORDINARY, np.inf)
     least = before = np.inf

@@ -292,14 +292,17 @@ def _folded(
     return found[:, :, -1], found[:, :, :6], {role: found[:, :, 6 + k] for k, role in enumerate(seen.scalars)}
 
 
-def without_rows(problem: Problem, sigmas: Sequence[Array], x: Array) -> tuple[Array, Array]:
-    """Return the relations (k, p + 1) and set-up motions (p, k) of an :class:`Evaluation`, which no row is needed for.
+def without_rows(
+    problem: Problem, sigmas: Sequence[Array], x: Array, given: Split | None = None
+) -> tuple[Array, Array]:
+    """Return the relations (k, c + 1) and set-up motions (c, k) of an :class:`Evaluation`, which no row is needed for.
 
-    Rows are looked at only where the set-up may move, which they tell how to weigh. All parameters are common.
+    Rows are looked at only where the set-up may move, which they tell how to weigh. All parameters are common, unless
+    a split is ``given``.
     """
-    at, split = problem.machine(x), Split.none(len(problem.parameters))
+    at, split = problem.machine(x), Split.none(len(problem.parameters)) if given is None else given
     whole = _set_up_motions(problem, split)
-    rates = problem.rates(at, scales(problem.parameters))
+    rates = problem.rates(at, scales(problem.parameters), split)
     if whole is not None:
         for data, sigma in zip(problem.measurements, sigmas, strict=True):
             for block in rates.blocks(data):

@@ -36,7 +36,7 @@ from calib.identification.not_seen import likely_widths
 from calib.identification.parameters import Parameter, scales
 from calib.identification.repeats import Repeats, by_pose
 from calib.identification.set_up_motions import without
-from calib.identification.system import Evaluation, Problem, evaluate
+from calib.identification.system import Problem, without_rows
 from calib.identification.widths import NormalEquations, likelihood, searched
 from calib.machine.systematic import Systematic, usual_waves
 from calib.machine.uncertainty import LeftOut, Waves, WindUp
@@ -109,7 +109,7 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     triangles = [part.reduced.rest for part in parts]
     ends = np.cumsum([0, *map(len, triangles)])
     data = np.concatenate(triangles)
-    solved = _solved(parameters, evaluate(problem, sigmas, x, split), data, free)
+    solved = _solved(parameters, without_rows(problem, sigmas, x, split), data, free)
     from_data, left = solved.from_data, solved.left
 
     sized = _sized(waves, wind_up)
@@ -293,7 +293,7 @@ def _parts(
             continue
         rows = np.concatenate(whole[one.component])
         for scale, own in _alike(one.poses, rows, within=one.within):
-            collected[one.component].rest = np.empty((0, columns + 1))
+            collected[one.component].forget()
             collected[one.component].add(own, None, None)
             found.append(_Part(k, scale, _solved_for(split, collected[one.component])))
     return found
@@ -327,17 +327,19 @@ class _Solved(NamedTuple):
     from_priors: Array
 
 
-def _solved(parameters: Sequence[Parameter], evaluation: Evaluation, data: Array, free: int) -> _Solved:
+def _solved(parameters: Sequence[Parameter], known: tuple[Array, Array], data: Array, free: int) -> _Solved:
     """Return the solution from ``data`` (q, p + m + 1), whitened triangles ``[J B r]`` of all components.
 
-    Parameters beyond the first ``free`` ones are held; their errors are those of their priors, and the others follow.
+    ``known``: relations and set-up motions. Parameters beyond the first ``free`` ones are held; their errors are those
+    of their priors, and the others follow.
     """
     p = len(parameters)
     hold = np.array([parameter.hold for parameter in parameters])
-    J = np.concatenate([data[:, :p], evaluation.relations[:, :p]])
-    if evaluation.set_up_motions.size:
-        J = without(J, evaluation.set_up_motions)
-    J, related = J[: len(data)], evaluation.relations[:, :free]
+    relations, set_up_motions = known
+    J = np.concatenate([data[:, :p], relations[:, :p]])
+    if set_up_motions.size:
+        J = without(J, set_up_motions)
+    J, related = J[: len(data)], relations[:, :free]
     rows = np.concatenate([J[:, :free], related, np.diag(hold[:free])])
     U, s, Vt = svd(rows, full_matrices=False)
     follows = np.pad((Vt.T / np.maximum(s, ROUNDING * s[0])) @ U.T, ((0, p - free), (0, 0)))

@@ -1,19 +1,25 @@
 """One arm measured in several set-ups: derivatives, truths found again, priors, and frames that only judges have."""
 
+import tracemalloc
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 import calib
+from calib.assessment import effects
+from calib.assessment.influence import Residue
+from calib.assessment.stretches import stretches
 from calib.foundations.errors import JobError, MeasurementError
-from calib.identification import system
-from calib.identification.initialisation.frames import initialise
+from calib.identification import sanity, system
+from calib.identification.arrow import Collected
+from calib.identification.initialisation.frames import initial_frames, initialise
 from calib.identification.initialisation.problem import with_common_names
 from calib.identification.machine import Frames
 from calib.identification.observability import rank_findings
 from calib.identification.set_ups import SetUp
 from calib.identification.system import Problem
+from calib.machine.budget import errors_by_cause
 from tests.support import jacobians, machines
 from tests.support.machines import Array, anywhere, pose
 from tests.support.touching import SOCKETS, UR10, Lab
@@ -301,3 +307,60 @@ def test_a_tool_of_as_many_numbers_as_unknowns_is_said_to_be_unchecked(
         "As many numbers were measured with the tool 'long' as it has unknowns, so nothing checks them: a mistake in "
         "one of them is in the tool. Measure one more pose with it."
     ] * alone
+
+
+def test_frames_of_a_set_up_are_found_once_where_mistakes_are_sought(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With 99 set-ups in a table it took seconds to find all twice."""
+    found: list[object] = []
+
+    def counted(*given: object) -> Frames:
+        found.append(given)
+        return initial_frames(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(sanity, "initial_frames", counted)
+    model, sets = (
+        calib.error_model(cell.robot, offsets="all", placements="all"),
+        [cell.measure(name) for name in PLACES],
+    )
+    assert sanity.signatures(model, sets) == ()
+    assert len(found) == len(PLACES)
+
+
+def test_rows_are_looked_at_once_for_the_errors_of_a_fit(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Relations and motions of the set-up, which need no rows, were taken from all of them, reduced once more."""
+    fit = calib.identify(
+        calib.error_model(cell.robot, offsets="all", placements="all"), [cell.measure(name) for name in PLACES]
+    )
+    rows, add = 0, Collected.add
+
+    def counted(self: Collected, more: Array, *rest: object) -> None:
+        nonlocal rows
+        rows += len(more)
+        add(self, more, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Collected, "add", counted)
+    errors_by_cause(fit, np.tile([-1.0, 1.0], (6, 1)))
+    assert rows == sum(len(data) for data in fit.measurements)
+
+
+def test_changes_in_the_course_of_many_rows_take_no_memory_of_their_own(cell: Cell) -> None:
+    """Of every row it was kept what it adds to each of six motions by each of all parameters, and the sums of these."""
+    fit = calib.identify(
+        calib.error_model(cell.robot, offsets="all", placements="all"), [cell.measure(name, 400) for name in PLACES]
+    )
+    residue = Residue.of(fit, {})
+    tracemalloc.start()
+    parts = stretches(residue)
+    rows = sum(part.J.nbytes for part in parts)
+    made, _ = tracemalloc.get_traced_memory()
+    tracemalloc.reset_peak()
+    found = effects._step_of("base", parts[0], parts[0].by_base, residue.C, 1)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found is not None
+    assert peak - made < rows
+    Z, J, places = parts[0].by_base, parts[0].J, np.array([3, 50, 390])
+    sums = np.cumsum(np.swapaxes(Z, 1, 2) @ J, axis=0)[places - 1]
+    np.testing.assert_allclose(effects._summed(Z, J, places), sums, rtol=1e-9, atol=1e-9 * np.abs(sums).max())

@@ -9,7 +9,7 @@ from calib.assessment.effects import per_metre
 from calib.assessment.judged import NOTHING, Check, JudgedSet
 from calib.assessment.stretches import Stretch
 from calib.foundations.arrays import Array, BoolArray
-from calib.foundations.linear import svd, triangle
+from calib.foundations.linear import Gathered, svd
 from calib.foundations.units import MM
 from calib.identification.fit import Fit
 from calib.identification.identifiability import MOVED, NUMERICAL_TOLERANCE
@@ -131,7 +131,9 @@ def _common_scale(
         return (NOTHING,) * 4
     own = parts[0].columns
     known, sigmas = _known_lengths(fit)
-    R = triangle(np.concatenate([*(part.J.reshape(-1, len(own)) for part in parts), known[:, own]]))
+    rows = Gathered(len(own))
+    rows.add(*(part.J for part in parts), known[:, None, own])
+    R = rows.triangle
     values, units, moved = np.column_stack([fit.values, scaled])[own], scales(fit.parameters)[own], moved[own]
     longer = values[moved] / units[moved, None]
     x = R[:, moved] @ longer
