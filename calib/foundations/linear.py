@@ -68,7 +68,11 @@ class Gathered:
 
     def _apart(self, rows: Array) -> list[Array]:
         """Take rows that see few columns, and return those that see many."""
-        seen, many = np.any(rows != 0.0, axis=1), []
+        seen, many = np.zeros((len(rows), rows.shape[2]), dtype=np.bool_), []
+        for row in np.swapaxes(rows, 0, 1):
+            seen |= row != 0.0
+        if 2 * np.count_nonzero(seen) > seen.size:
+            return [rows]
         columns_of, number = np.unique(np.packbits(seen, axis=1), axis=0, return_inverse=True)
         if _LEAST_ALIKE * len(columns_of) >= len(rows):
             return [rows]
