@@ -279,9 +279,13 @@ def _exchange(place: _Place, work: _Work, *, replaced: bool) -> None:
     try:
         os.rename(_NEW, place.name, src_dir_fd=work.handle, dst_dir_fd=place.above)
     except OSError as e:
-        if found is not None and place.taken():
+        if found is None:
+            raise
+        if place.taken():
             kept = place.path.with_name(work.name) / _OLD
             raise OutputError(f"{place.path}: another has taken its place meanwhile; what was there is {kept}.") from e
+        # Not left to the end, which finds that the old one has a successor where somebody took the new one away.
+        os.rename(_OLD, place.name, src_dir_fd=work.handle, dst_dir_fd=place.above)
         raise
     try:
         names_to_disk(place.above)

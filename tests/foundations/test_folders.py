@@ -314,6 +314,23 @@ def test_an_old_folder_whose_place_somebody_took_is_kept(tmp_path: Path) -> None
     assert texts(tmp_path / HIDDEN / "old") == dict.fromkeys(OURS, "old")
 
 
+def test_a_new_folder_that_is_taken_away_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by a program that tidies up for the same user."""
+    out = fill(tmp_path / "out", OLD)
+    rename = os.rename
+
+    def hindered(src: str, dst: str, **handles: int) -> None:
+        if (src, dst) == ("new", "out"):
+            shutil.rmtree(next(tmp_path.glob(".out.*.calib")) / "new")
+        rename(src, dst, **handles)
+
+    monkeypatch.setattr(os, "rename", hindered)
+    with pytest.raises(OutputError, match="the results cannot be written"):
+        write_folder(out, NEW, OURS)
+    assert texts(out) == OLD
+    assert names(tmp_path) == ["out"]
+
+
 def test_a_place_that_is_taken_at_the_last_moment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fill(tmp_path / "out", OLD)
     rename = os.rename
