@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import calib
 from calib.foundations.errors import JobError
 from calib.identification import system
+from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import scatter_weight, shrinkage, weight
 from calib.identification.machine import Frames, Layout
 from calib.identification.observability import observability, rank_findings
@@ -17,6 +19,7 @@ from calib.identification.parameters import scales
 from calib.identification.relations import Relation
 from calib.identification.system import Problem
 from calib.identification.targets import Target, unknowns
+from calib.robot.robot import TipModel
 from tests.support import jacobians, machines
 from tests.support.machines import Array, anywhere, pose
 from tests.support.touching import NORMALS, RADIUS, SOCKETS, UR10, Lab, between, lab
@@ -248,6 +251,24 @@ def test_a_known_step_between_parallel_planes_gives_the_size() -> None:
     fit = calib.identify(model(here, relations=relations), [lower, upper])
     assert fit.rank == 21 + 6
     assert here.miss(fit) < 1e-9
+
+
+def test_many_planes_begin_with_as_few_looks_at_the_arm_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    here, looks = lab(), 0
+    look = TipModel.motion
+
+    def counted(self: TipModel, *given: Any) -> Any:
+        nonlocal looks
+        looks += 1
+        return look(self, *given)
+
+    monkeypatch.setattr(TipModel, "motion", counted)
+    needed = []
+    for names in (("floor",), tuple(NORMALS)):
+        looks = 0
+        initial_problem(model(here), [here.planes(40, names)])
+        needed.append(looks)
+    assert needed[0] == needed[1] > 0
 
 
 @pytest.mark.parametrize(("name", "rank"), [("one socket", 18 + 3), ("one plane", 18 + 3), ("gauges", 19)])

@@ -14,11 +14,14 @@ from calib.identification.initialisation.carried import Carried
 from calib.identification.machine import Frames
 from calib.measurement.measurements import Measurements, numbered
 from calib.robot.conditions import ordinary
+from calib.robot.robot import TipModel
 
 # Directions of a linear fit below this share of the best one are left at their start.
 NEGLIGIBLE = 1e-8
 # A part of the arm is clearly off a plane, in m.
 _OFF = 0.01
+# Rows whose arm is looked at together.
+_BLOCK = 5000
 
 
 def with_targets(model: ErrorModel, rows: Sequence[Carried], frames: Frames) -> Frames:
@@ -30,19 +33,23 @@ def with_targets(model: ErrorModel, rows: Sequence[Carried], frames: Frames) -> 
     points = [(T @ data.placed_by(frames.tools))[:, :3, 3] for data, T in zip(sets, carried, strict=True)]
     of_target = [dict(numbered(data.target)) for data in sets]
     none = np.zeros(0, dtype=np.intp)
+    planes = [t for t, name in enumerate(names) if found.get(name) == "plane" and name not in model.targets]
+    arms = [_arm_beside(model, data, T, x, planes) for data, T, x in zip(sets, carried, points, strict=True)]
     for t, name in enumerate(names):
         about = [
-            (data, T, x, rows.get(t, none)) for data, T, x, rows in zip(sets, carried, points, of_target, strict=True)
+            (data, T, x, arm, rows.get(t, none))
+            for data, T, x, arm, rows in zip(sets, carried, points, arms, of_target, strict=True)
         ]
-        about = [(data, T, x, rows) for data, T, x, rows in about if len(rows)]
-        touched = [(data, T, x, rows) for data, T, x, rows in about if data.kind in targets.SHAPES]
-        own = [(data, x[rows], data.value[rows]) for data, _, x, rows in touched]
+        about = [(data, T, x, arm, rows) for data, T, x, arm, rows in about if len(rows)]
+        touched = [(data, x, arm, rows) for data, _, x, arm, rows in about if data.kind in targets.SHAPES]
+        own = [(data, x[rows], data.value[rows]) for data, x, _, rows in touched]
         sights = cameras.sights([data for data, *_ in about], [T for _, T, *_ in about], t)
         if name in model.targets:
             poses[t] = _known_pose(model.targets[name], own)
         elif found.get(name) == "plane":
-            beside = [(data.subset(rows), T[rows], x[rows]) for data, T, x, rows in touched]
-            poses[t] = _plane(np.concatenate([x for *_, x in beside]), _arm_beside(model, beside))
+            beside = [arm[rows] for _, _, arm, rows in touched]
+            alike = [parts for parts in beside if parts.shape[1] == beside[0].shape[1]]
+            poses[t] = _plane(np.concatenate([x for _, x, _ in own]), np.concatenate(alike).mean(axis=0))
         elif own:
             sockets = [x for data, x, _ in own if data.kind == "socket"]
             if sights and not sockets:
@@ -71,21 +78,28 @@ def _known_pose(target: targets.Target, own: Sequence[tuple[Measurements, Array,
     return rigid.placement(target.pose[:3, :3], height * normal)
 
 
-def _arm_beside(model: ErrorModel, touched: Sequence[tuple[Measurements, Array, Array]]) -> Array:
-    """Return where tip link and joints were, from the tip back to the base, on average beside touched points (k, 3).
+def _arm_beside(model: ErrorModel, data: Measurements, tips: Array, x: Array, planes: Sequence[int]) -> Array:
+    """Return where tip link and joints were, from the tip back to the base, beside the touched points (N, k, 3).
 
-    ``touched``: rows, with their tips (n, 4, 4) and points (n, 3) in the frame of the target.
+    ``tips`` (N, 4, 4) and points ``x`` (N, 3) are in the frame of the target. Rows about no plane stay at 0. A robot is
+    made ready once for all rows: of thousands of planes, one for each took longer than the fit.
     """
-    beside = []
-    for data, tip, x in touched:
-        robot = model.robot.with_tip(data.tip)
-        motion = robot.motion(data.readings, conditions=ordinary(data.readings)).tip
+    rows = np.flatnonzero(np.isin(data.target, planes))
+    if data.kind not in targets.SHAPES or not len(rows):
+        return np.zeros((len(x), 0, 3))
+    robot = model.robot.with_tip(data.tip)
+    arm = TipModel(robot)
+    beside = np.zeros((len(x), 0, 3))
+    for block in (rows[start : start + _BLOCK] for start in range(0, len(rows), _BLOCK)):
+        readings = data.readings[block]
+        motion = arm.motion(robot.own(readings), ordinary(readings)).tip
         # In the tip link; joints of other branches, and those behind the tip, do not move it.
         origins = (rigid.inverse(motion.placement) @ motion.before[::-1])[:, :, :3, 3].swapaxes(0, 1)
-        origins = np.concatenate([np.zeros((len(x), 1, 3)), origins], axis=1)
-        beside.append(origins @ np.swapaxes(tip[:, :3, :3], -1, -2) + (tip[:, :3, 3] - x)[:, None])
-    alike = [parts for parts in beside if parts.shape[1] == beside[0].shape[1]]
-    return np.asarray(np.concatenate(alike).mean(axis=0))
+        origins = np.concatenate([np.zeros((len(block), 1, 3)), origins], axis=1)
+        if not beside.size:
+            beside = np.zeros((len(x), *origins.shape[1:]))
+        beside[block] = origins @ np.swapaxes(tips[block, :3, :3], -1, -2) + (tips[block, :3, 3] - x[block])[:, None]
+    return beside
 
 
 def _plane(x: Array, beside: Array) -> Array:
