@@ -80,7 +80,7 @@ def test_markdown_shows_words(results: tuple[Path, Said]) -> None:
 
 def test_reports_read_from_left_to_right(results: tuple[Path, Said]) -> None:
     """A name with an override of the direction would turn round the numbers behind it in a sentence."""
-    for name in ("report.html", "report.md"):
+    for name in ("report.html", "report.md", "scene.html"):
         text = (results[0] / name).read_text(encoding="utf-8")
         assert "\\u202e" in text
         assert not re.search("[\u202a-\u202e\u2066-\u2069]", text)
