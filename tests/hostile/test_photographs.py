@@ -89,8 +89,8 @@ def test_a_board_in_many_pixels_is_looked_for_in_fewer(kind: str, monkeypatch: p
     sizes: list[int] = []
     make = getattr(images, f"_{kind}")
 
-    def kept(*given: object) -> Callable[[Array], object]:
-        find = make(*given)
+    def kept(*given: object, **more: object) -> Callable[[Array], object]:
+        find = make(*given, **more)
 
         def finds(grey: Array) -> object:
             sizes.append(grey.size)
