@@ -35,6 +35,7 @@ def board(
     "urdf-calib[vision]". Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
     with loading():
+        from calib.foundations.errors import JobError
         from calib.foundations.folders import refuse_unwritable, write_folder
         from calib.foundations.ranges import RANGES, parse_within
         from calib.job.read import board_toml
@@ -53,6 +54,12 @@ def board(
         parse_within(marker, allowed, "--marker") if with_markers else 0.0,
         dictionary if with_markers else "",
     )
+    if print_.half_turn is not None:
+        across, down = print_.squares
+        raise JobError(
+            f"--squares: a chessboard of {across} x {down} squares looks the same upside down; make one number odd and "
+            "the other one even."
+        )
     of = drawing(print_, marker_bits(print_) if with_markers else ())
     write_folder(out, {"board.pdf": pdf(of), "board.svg": svg(of), "board.toml": board_toml(print_)})
     width, height = of.size

@@ -17,7 +17,8 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DEG, MM
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.identification.initialisation.lenses import legible
-from calib.identification.photographs import Photograph, found_optics
+from calib.identification.photographs import Photograph, found_optics, poses_of
+from calib.job.half_turns import AGREE, half_turns
 from calib.measurement.columns import POSITION, stacked
 from calib.measurement.instruments import Camera, CameraPlace
 from calib.measurement.lens import BENT, CENTRE, FOCAL
@@ -25,7 +26,7 @@ from calib.measurement.orientations import ANGLES, EULER, MAKERS, rotations_of
 from calib.measurement.table import QUATERNION_COLUMNS, Table
 
 # So many photographs decide, and no more are needed.
-_LEAST, _MOST = 6, 60
+LEAST, _MOST = 6, 60
 # What is read rightly is off by less than this share of the camera's distance, and what is read otherwise by so many
 # times more: right readings of four real arms leave 0.6 to 2.4 %, and the nearest wrong ones 13 to 28 %.
 _GOOD, _CLEARLY = 0.05, 4.0
@@ -39,10 +40,35 @@ _NUMBER = re.compile("[0-9]+")
 
 
 class Seen(NamedTuple):
-    """What photographs show: poses (n, 4, 4) of the board in the camera, and the row of the readings of each."""
+    """What photographs show: poses (n, 4, 4) of the board in the camera, and the row of the readings of each.
+
+    ``half_turn`` (4, 4): in the board, where it looks the same with it: each pose may be with it or without.
+    """
 
     boards: Array
     rows: IntArray
+    half_turn: Array | None = None
+
+    @property
+    def few(self) -> "Seen":
+        """As many of them as decide, evenly among all."""
+        every = -(-len(self.rows) // _MOST) or 1
+        return self._replace(boards=self.boards[::every], rows=self.rows[::every])
+
+    def upright(self, tips: Array) -> Array:
+        """Return the poses (n, 4, 4) of the board, all the same way up by the poses (n, 4, 4) of the flange there."""
+        if self.half_turn is None:
+            return self.boards
+        turned = half_turns(self.boards, tips).turned
+        return np.where(turned[:, None, None], self.boards @ self.half_turn, self.boards)
+
+
+class WayUp(NamedTuple):
+    """Rows of readings whose photographs are to be turned, of which this is told, and which contradict the others."""
+
+    turned: frozenset[int]
+    told: frozenset[int]
+    contradict: frozenset[int]
 
 
 class _Off(NamedTuple):
@@ -68,24 +94,55 @@ def _short(value: float) -> str:
     return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}"
 
 
-def shown_by(photographs: Sequence[tuple[Array, Array]], rows: Sequence[int], size: tuple[int, int]) -> Seen | None:
-    """Return the poses that photographs of a board show, by pixels (n, 2) and marks (n, 3); None of too few."""
+def shown_by(
+    photographs: Sequence[tuple[Array, Array]],
+    rows: Sequence[int],
+    size: tuple[int, int],
+    half_turn: Array | None = None,
+) -> Seen | None:
+    """Return the poses that photographs of a board show, by pixels (n, 2) and marks (n, 3); None of too few.
+
+    Of a board that looks the same with a ``half_turn`` (4, 4), all that show one; else as many as decide.
+    """
     free = (*FOCAL, *CENTRE, *BENT)
     lens = Camera("tip", free=free, size=size).lens
     every = -(-len(rows) // _MOST) or 1
     given = [
         (Photograph(pixels, marks, np.zeros((len(pixels), 3, 0)), np.ones_like(pixels)), row)
-        for (pixels, marks), row in zip(photographs[::every], rows[::every], strict=True)
+        for (pixels, marks), row in zip(photographs, rows, strict=True)
     ]
-    told = [(one, row) for one, row in given if legible([one], lens)]
-    found = found_optics([one for one, _ in told], free, lens) if len(told) >= _LEAST else None
-    return None if found is None else Seen(found.poses, np.array([row for _, row in told], dtype=np.intp))
+    told = [(one, row) for one, row in given[::every] if legible([one], lens)]
+    found = found_optics([one for one, _ in told], free, lens) if len(told) >= LEAST else None
+    if found is None:
+        return None
+    if half_turn is None:
+        return Seen(found.poses, np.array([row for _, row in told], dtype=np.intp))
+    boards, shown = poses_of([one for one, _ in given], found.optics)
+    return Seen(boards[shown], np.array(rows, dtype=np.intp)[shown], half_turn)
+
+
+def way_up(seen: Seen, poses: Array) -> WayUp | None:
+    """Return which way up the board was in photographs, by the poses (N, 4, 4) of the flange; None where hardly told.
+
+    The first one that is told is the right way up.
+    """
+    found = half_turns(seen.boards, poses[seen.rows])
+    told = found.told
+    if np.count_nonzero(told) < max(LEAST, 0.5 * len(told)):
+        return None
+    # Of readings that are not of these photographs, some fit by chance, and then not all in one place.
+    few = seen._replace(boards=seen.boards[told], rows=seen.rows[told]).few
+    if min(_off(poses, few, "tip").angle, _off(poses, few, "floor").angle) > AGREE:
+        return None
+    turned = found.turned ^ found.turned[int(np.argmax(told))]
+    return WayUp(*(frozenset(seen.rows[which].tolist()) for which in (turned & told, told, found.contradict)))
 
 
 def orientation_of(table: Table, seen: Seen | None, camera_on: CameraPlace) -> tuple[str | None, str]:
     """Return what three angles of the flange are by the photographs, and how it is known; None where none is clear."""
     if seen is None or not {*ANGLES, *POSITION} <= table.columns.keys():
         return None, ""
+    seen = seen.few
     turned = [way._replace(poses=way.poses[seen.rows]) for way in _turned(table)]
     seen = seen._replace(rows=np.arange(len(seen.rows)))
     tried = {way.looks_as_if: _off(way.poses, seen, camera_on) for way in turned}
@@ -106,6 +163,7 @@ def refuse_mistakes(
 
     ``table``: of them, as it was written. ``images``: the photograph of each row.
     """
+    seen = None if seen is None else seen.few
     now = None if seen is None else _off(poses, seen, camera_on)
     if seen is None or now is None or now.share < _BEYOND_DOUBT:
         return
@@ -122,9 +180,10 @@ def refuse_mistakes(
 def _off(poses: Array, seen: Seen, camera_on: CameraPlace) -> _Off:
     """Return by how much photographs are off from the best place on the flange and the best one beside the robot."""
     tips = poses[seen.rows]
-    measured = rigid.inverse(seen.boards) if camera_on == "tip" else seen.boards
+    boards = seen.upright(tips)
+    measured = rigid.inverse(boards) if camera_on == "tip" else boards
     rows = TipObservations(tips, measured[:, :3, 3], measured[:, :3, :3], np.zeros(len(tips), dtype=np.intp))
-    away = float(np.median(np.linalg.norm(seen.boards[:, :3, 3], axis=1)))
+    away = float(np.median(np.linalg.norm(boards[:, :3, 3], axis=1)))
     kept = np.ones(len(tips), dtype=np.bool_)
     for _ in range(2):
         base, tools, _ = base_and_tools(rows.some(kept), KnownFrames(None, None, None), np.eye(4)[None])

@@ -18,11 +18,11 @@ from calib.foundations.files import sentences
 from calib.foundations.units import MM
 from calib.foundations.words import listed, shown
 from calib.job.chains import chains, whole_chains
-from calib.job.flange_poses import Seen, orientation_of, refuse_mistakes, shown_by
+from calib.job.flange_poses import LEAST, Seen, orientation_of, refuse_mistakes, shown_by, way_up
 from calib.job.read import read_board
 from calib.job.toml_text import toml_text
 from calib.machine.calibrated import CalibratedMachine
-from calib.measurement.columns import POSITION, orientations, stacked
+from calib.measurement.columns import POSITION, filled, orientations, stacked
 from calib.measurement.formats.images import (
     ENDINGS,
     LEAST_CORNERS,
@@ -54,6 +54,9 @@ _FARTHER, _LEAST_TRAVEL = 2.0, 0.1
 _FLANGE = ("flange_x", "flange_y", "flange_z", "flange_rz", "flange_ry", "flange_rx")
 # One of these columns beside a position makes it a pose.
 _TURNED = {"qw", "rx", "r11"}
+_OF_BOARD = "the board looks the same upside down, and which way up it is here"
+_CONTRADICTS = f"{_OF_BOARD} is not known: its readings contradict those of other photographs"
+_EITHER = f"{_OF_BOARD} its readings do not tell clearly"
 _MARKS = ("u [px]", "v [px]", "board_x [mm]", "board_y [mm]", "board_z [mm]", "sigma [px]")
 
 
@@ -165,8 +168,16 @@ class Imported:
 
 
 def read_photographed_board(path: Path) -> Print:
-    """Read what is printed on a board, whose markers OpenCV has to know. Raises JobError as :func:`read_board` does."""
+    """Read what is printed on a board, whose markers OpenCV has to know. Raises JobError as :func:`read_board` does.
+
+    Nor may it look the same from all four sides.
+    """
     print_ = read_board(path)
+    if print_.four_ways:
+        raise JobError(
+            f"{path}: a chessboard of {print_.squares[0]} x {print_.squares[1]} squares looks the same from all four "
+            "sides, so that nothing tells which corner is which; photograph another board."
+        )
     if print_.dictionary:
         marker_bits(print_, str(path))
     return print_
@@ -189,7 +200,8 @@ def import_photographs(
     quaternion, or three angles, of the flange as its controller states it. Then the readings are those with which the
     nominal robot of ``urdf`` is there; without it they are six axes that put the flange there. Without an
     ``orientation``, the photographs tell what three angles are, and poses that they contradict are refused where a
-    typical mistake explains it. For this, they ask ``camera_on``.
+    typical mistake explains it. For this, they ask ``camera_on``. Where a board looks the same upside down, the
+    readings tell which way up it was in each photograph.
     Without a ``tip``, it is that of the arm whose joints the readings have.
 
     Raises CalibError where less than three photographs remain, or readings cannot be had.
@@ -197,6 +209,11 @@ def import_photographs(
     files = _files(folder)
     robot, said = (None, ()) if urdf is None else _arm(urdf, tip, readings)
     given = _given(readings, robot, orientation)
+    if print_.half_turn is not None and given.table is None and robot is None:
+        raise JobError(
+            f"{readings}: has readings of the joints, and the board looks the same upside down: where the robot is "
+            "tells which way up it is in each photograph; name the robot."
+        )
     remarks = said
     seen = _looked_at(files, detector(print_), progress)
     if may_be_old(print_) and not any(len(one.found.marks) for one in seen):
@@ -223,14 +240,19 @@ def import_photographs(
             f"{folder}: {len(used)} of {len(photographs)} photographs can be used, and {LEAST_PHOTOGRAPHS} "
             f"are the fewest that tell anything{first}."
         )
-    made = ""
-    if given.table is None:
-        titles, rows = given.titles, list(given.rows)
-    else:
+    made, told = "", None
+    if given.table is not None or print_.half_turn is not None:
         progress("holding poses of the flange against photographs")
         told = _told(used, named, given, print_, size)
-        titles, rows, own, made = _of_flange(given, given.table, robot, orientation, told, camera_on)
+    if given.table is None:
+        titles, rows = given.titles, list(given.rows)
+        poses = None if told is None or robot is None else _nominal(readings, robot)
+    else:
+        titles, rows, own, made, poses = _of_flange(given, given.table, robot, orientation, told, camera_on)
         given = given._replace(remarks=own)
+    if print_.half_turn is not None:
+        photographs, turned = _one_way_up(photographs, named, given, told, poses, print_)
+        remarks += (turned,)
     by_image = dict(zip(given.images, rows, strict=True))
     taken = {name: by_image[row] for name, row in named.items() if row is not None}
     return Imported(photographs, size, titles, taken, print_, (*given.remarks, *remarks), robot, made)
@@ -334,7 +356,58 @@ def _told(
 ) -> Seen | None:
     row = {image: k for k, image in enumerate(given.images)}
     own = [row[image] for one in used if (image := named[one.name]) is not None]
-    return shown_by([(one.found.pixels, print_.marks[one.found.marks]) for one in used], own, size)
+    shown = [(one.found.pixels, print_.marks[one.found.marks]) for one in used]
+    return shown_by(shown, own, size, print_.half_turn)
+
+
+def _nominal(path: Path, robot: Robot) -> Array:
+    """Return where the tip of a nominal robot is (N, 4, 4) by the readings of a table."""
+    table = read_table(path, Columns({"group": IMAGE}))
+    return _machine(robot).tips(filled(table, {reading.name: reading.dimension for reading in robot.readings}))
+
+
+def _machine(robot: Robot) -> CalibratedMachine:
+    return CalibratedMachine(robot, robot.no_deviations(), read_only(np.eye(4)), {"tool": read_only(np.eye(4))})
+
+
+def _one_way_up(
+    photographs: Sequence[Photograph],
+    named: Mapping[str, str | None],
+    given: _Given,
+    told: Seen | None,
+    poses: Array | None,
+    print_: Print,
+) -> tuple[tuple[Photograph, ...], str]:
+    """Return photographs of a board that looks the same upside down, their marks numbered alike, and a remark.
+
+    Those of which the poses (N, 4, 4) of the flange do not tell it are left out. Raises MeasurementError where most are
+    such.
+    """
+    board = f"a chessboard of {print_.squares[0]} x {print_.squares[1]} squares looks the same upside down"
+    if told is None or poses is None:
+        raise MeasurementError(
+            f"{given.path}: {board}; to tell which way up it is, {LEAST} photographs with readings that show how it "
+            "lies are needed, and there are fewer."
+        )
+    found = way_up(told, poses)
+    if found is None:
+        raise MeasurementError(
+            f"{given.path}: {board}, and the readings do not tell which way up it is in most photographs: these turn "
+            "otherwise than the board does in the photographs, or all by a quarter about its normal; are the readings "
+            "those of these photographs, in their units?"
+        )
+    row, last, kept = {image: k for k, image in enumerate(given.images)}, len(print_.marks) - 1, []
+    for one in photographs:
+        image = named[one.name]
+        k = -1 if image is None else row[image]
+        if not one.left_out and k not in found.told:
+            one = one._replace(left_out=_CONTRADICTS if k in found.contradict else _EITHER)  # noqa: PLW2901
+        elif not one.left_out and k in found.turned:
+            one = one._replace(found=one.found._replace(marks=last - one.found.marks))  # noqa: PLW2901
+        kept.append(one)
+    used = [one for one in kept if not one.left_out]
+    said = f"{board}: the readings tell which way up it is, and {len(found.turned)} of {len(used)} photographs"
+    return tuple(kept), f"{said} are numbered from the other end than OpenCV does"
 
 
 def _arm(urdf: str | Path, tip: str | None, readings: Path) -> tuple[Robot, tuple[str, ...]]:
@@ -374,8 +447,8 @@ def _of_flange(
     orientation: str | None,
     told: Seen | None,
     camera_on: CameraPlace,
-) -> tuple[tuple[str, ...], list[tuple[str, ...]], tuple[str, ...], str]:
-    """Return titles and cells of the readings, how these came, and the URDF that they are of, where it is made."""
+) -> tuple[tuple[str, ...], list[tuple[str, ...]], tuple[str, ...], str, Array]:
+    """Return titles and cells of the readings, how these came, the URDF that they are of, if it is made, and poses."""
     path, known = given.path, ""
     if orientation is None:
         orientation, known = orientation_of(table, told, camera_on)
@@ -396,12 +469,13 @@ def _of_flange(
         )
         urdf = ""
     titles = tuple(f"{name} [{unit}]" for name, unit in zip(names, units, strict=True))
-    return titles, [tuple(f"{value:.9f}" for value in row) for row in values], (said, *([known] if known else [])), urdf
+    cells = [tuple(f"{value:.9f}" for value in row) for row in values]
+    return titles, cells, (said, *([known] if known else [])), urdf, poses
 
 
 def _inverse(path: Path, robot: Robot, poses: Array, images: Sequence[str]) -> Array:
     """Return readings (N, nr) with which a nominal robot has its tip at poses, each near to the one before."""
-    nominal = CalibratedMachine(robot, robot.no_deviations(), read_only(np.eye(4)), {"tool": read_only(np.eye(4))})
+    nominal = _machine(robot)
     found = for_poses(nominal, poses)
     if not found.reached.all():
         k = int(np.argmin(found.reached))

@@ -64,12 +64,20 @@ class Print:
                 )
         elif self.dictionary or self.marker:
             raise JobError("board: a chessboard has no markers; leave marker and dictionary out.")
-        elif (self.squares[0] + self.squares[1]) % 2 == 0:
-            across, down = self.squares
-            raise JobError(
-                f"board: a chessboard of {across} x {down} squares looks the same upside down; make one number odd and "
-                "the other one even."
-            )
+
+    @property
+    def half_turn(self) -> Array | None:
+        """The half turn (4, 4) about its middle with which the print looks the same; None where it does not."""
+        if self.kind != "chessboard" or sum(self.squares) % 2:
+            return None
+        turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+        turn[:2, 3] = self.square * np.array(self.squares)
+        return read_only(turn)
+
+    @property
+    def four_ways(self) -> bool:
+        """Whether the print looks the same from all four sides."""
+        return self.half_turn is not None and self.squares[0] == self.squares[1] and self.squares[0] % 2 == 1
 
     @property
     def marks(self) -> Array:

@@ -172,7 +172,8 @@ def may_be_old(print_: Print) -> bool:
 def detector(print_: Print, *, old: bool = False) -> Callable[[Array], Detection]:
     """Return a function that finds the corners of a board in an image of grey values (h, w); there may be none.
 
-    ``old``: of a board that :func:`may_be_old`, which then begins with a white square.
+    ``old``: of a board that :func:`may_be_old`, which then begins with a white square. One that looks the same upside
+    down may be found either way up.
     """
     cv2 = opencv()
     find = _charuco(cv2, print_, old=old) if print_.kind == "charuco" else _chessboard(cv2, print_)
@@ -279,17 +280,22 @@ def _chessboard(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Ar
         if not seen:
             return NOTHING_SEEN.marks, NOTHING_SEEN.pixels, False
         pixels = corners.reshape(-1, 2).astype(np.float64)
-        # The squares that the first and the last corner have on their outer sides differ: the first one's is black.
         grid = pixels.reshape(down, across, 2)
-        first, last = (_outside(grey, grid, i, j, si) for i, j, si in ((0, 0, 1), (-1, -1, -1)))
-        return np.arange(across * down, dtype=np.intp), pixels if first < last else pixels[::-1], False
+        # Corners have black squares on their outer sides and white ones: the first one's is black.
+        first, beside, last = (_outside(grey, grid, i, j) for i, j in ((0, 0), (0, -1), (-1, -1)))
+        if across == down and down % 2 and first > beside:
+            pixels = np.rot90(grid).reshape(-1, 2)
+        elif first > last:
+            pixels = pixels[::-1]
+        return np.arange(across * down, dtype=np.intp), pixels, False
 
     return find
 
 
-def _outside(grey: Array, grid: Array, i: int, j: int, step: int) -> float:
-    """Return the grey in the middle of the square that lies outside of a corner of the grid of corners."""
-    at = grid[i, j] + 0.5 * (grid[i, j] - grid[i + step, j]) + 0.5 * (grid[i, j] - grid[i, j + step])
+def _outside(grey: Array, grid: Array, i: int, j: int) -> float:
+    """Return the grey in the middle of the square that lies outside of a corner (0 or -1) of the grid of corners."""
+    inwards = [1 + 2 * k for k in (i, j)]
+    at = grid[i, j] + 0.5 * (grid[i, j] - grid[i + inwards[0], j]) + 0.5 * (grid[i, j] - grid[i, j + inwards[1]])
     x, y = np.clip(np.rint(at), 0, np.array(grey.shape[::-1]) - 1).astype(int)
     return float(np.median(grey[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]))
 
