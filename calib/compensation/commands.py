@@ -89,7 +89,7 @@ def for_poses(
     poses = np.asarray(poses, dtype=np.float64)
     if poses.shape[1:] not in ((4, 4), (3,)):
         raise JobError(f"the poses have the shape {poses.shape}; allowed are (N, 4, 4), and (N, 3) for positions.")
-    if not are_numbers(poses):
+    if not np.isfinite(poses).all():
         raise JobError("the poses must be finite numbers.")
     places = poses if poses.ndim == 2 else poses[:, :3, 3]
     if len(places):
@@ -101,7 +101,7 @@ def for_poses(
     what: What = "pose"
     if poses.ndim == 2:
         what, poses = "position", rigid.translation(poses)
-    elif len(poses) and not rigid.are_placements(poses).all():
+    elif len(poses) and not (are_numbers(poses) and rigid.are_placements(poses).all()):
         raise JobError("the poses are not all placements: a rotation is not one, or the last row is not 0 0 0 1.")
     if frame == "instrument":
         poses = rigid.inverse(model.base) @ poses

@@ -22,9 +22,6 @@ _AXES = ("x", "y", "z")
 def _touches(tmp_path: Path, seed: int, straight: float, half: bool) -> tuple[calib.Robot, calib.Measurements]:
     """A flange that goes anywhere and a ball it touches: its z turned from the ball's middle by ``straight`` rad."""
     rng = np.random.default_rng(seed)
-    urdf = tmp_path / "flange.urdf"
-    urdf.write_text(flange_urdf(), encoding="utf-8")
-    robot = calib.load_robot(urdf, "flange")
     away = rng.normal(size=(30, 3))
     away[:, 2] = np.where(half, np.abs(away[:, 2]), away[:, 2])
     away /= np.linalg.norm(away, axis=1)[:, None]
@@ -33,6 +30,9 @@ def _touches(tmp_path: Path, seed: int, straight: float, half: bool) -> tuple[ca
         @ Rotation.from_rotvec(rng.normal(scale=straight, size=(30, 3))).as_matrix()
     )
     flange = BALL + (RADIUS + rng.normal(scale=SIGMA, size=(30, 1))) * away - turns @ PROBE
+    urdf = tmp_path / "flange.urdf"
+    urdf.write_text(flange_urdf(flange), encoding="utf-8")
+    robot = calib.load_robot(urdf, "flange")
     angles = Rotation.from_matrix(turns).as_euler("ZYX")
     values = np.column_stack([flange, angles])
     columns: dict[str, object] = {
