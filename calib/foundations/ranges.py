@@ -143,6 +143,8 @@ COUNTS: Mapping[str, int] = MappingProxyType(
 # As many may be in the tables of a calibration: set-ups and tools are found with the robot, targets one by one.
 MOST_SETUPS = COUNTS["setups"]
 MOST_TOOLS = COUNTS["tools"]
+# Of both together: rows that see all pairs of many have nothing in common by which they could be reduced.
+MOST_FRAMES = 101
 MOST_TARGETS = 20_000
 # Joint terms of a machine: all harmonics of 200 joints in 20 orders.
 MOST_TERMS = 8000

@@ -147,7 +147,7 @@ def from_setups(setups: int, _: str) -> Cost:
     placed = np.einsum("nij,nj->ni", bases[setup, :3, :3], x) + bases[setup, :3, 3]
     table |= {f"{axis} [m]": placed[:, k] for k, axis in enumerate("xyz")}
     # Jobs have fewer set-ups, since what is said of each afterwards is not eliminated: here many tables have them.
-    initialisation.MOST_SETUPS = max(SETUPS)
+    initialisation.MOST_SETUPS, initialisation.MOST_FRAMES = max(SETUPS), max(SETUPS) + 1
     data = [
         calib.read_measurements(
             {name: np.asarray(values)[rows] for name, values in table.items()}

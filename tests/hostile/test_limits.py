@@ -96,6 +96,17 @@ def test_unknowns_of_several_tables_end() -> None:
         identify(error_model(robot, offsets="all"), sets)
 
 
+def test_set_ups_and_tools_end_together() -> None:
+    robot = load_robot(parse_urdf(hostile_files._chain(2).encode(), "arm.urdf"))
+    chance = np.random.default_rng(0)
+    table = {f"j{k} [rad]": chance.uniform(-1.0, 1.0, 180) for k in range(2)}
+    table |= {f"{a} [m]": chance.normal(size=180) for a in "xyz"}
+    table |= {"setup": [f"s{k % 60}" for k in range(180)], "tool": [f"t{k % 45}" for k in range(180)]}
+    data = read_measurements(table, robot, sigma=1e-5)
+    with pytest.raises(MeasurementError, match=r"^the measurements have 60 set-ups and 45 tools; allowed are 101 tog"):
+        identify(error_model(robot, offsets="all"), data)
+
+
 @pytest.mark.parametrize(("joints", "tried"), [(30, 30), (31, 0)])
 def test_mistakes_of_single_readings_are_tried_of_arms_of_some_joints(
     joints: int, tried: int, monkeypatch: pytest.MonkeyPatch

@@ -8,7 +8,8 @@ import numpy as np
 
 from calib.foundations.arrays import BoolArray, IntArray, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS
+from calib.foundations.ranges import MOST_FRAMES, MOST_SETUPS, MOST_TARGETS, MOST_TOOLS
+from calib.foundations.words import counted
 from calib.identification import targets
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initialise, turned, turned_by
@@ -105,6 +106,11 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
     ):
         if len(found) > most:
             raise MeasurementError(f"the measurements have {len(found)} {what} together; allowed are {most}.")
+    if len(tools) + len(setups) > MOST_FRAMES:
+        raise MeasurementError(
+            f"the measurements have {counted(len(setups), 'set-up')} and {counted(len(tools), 'tool')}; allowed are "
+            f"{MOST_FRAMES} together."
+        )
 
     def numbered(old: Sequence[str], new: Sequence[str], numbers: IntArray) -> IntArray:
         # -1 stays what it is: none.
