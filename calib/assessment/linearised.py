@@ -36,6 +36,8 @@ from calib.robot.terms import JointTerm, kind_of
 
 # Bytes of derivatives that are kept rather than made again.
 _MOST_KEPT = 2**28
+# Targets are not eliminated here: what many of them say of each other would fill the memory.
+_MOST_UNKNOWNS = 2000
 # A coefficient that helps by less, in variances of what is left, ends the way: of one that does nothing it is 1.
 _BY_CHANCE = 2.0
 
@@ -106,6 +108,11 @@ class LinearisedSystem:
         parameters = tuple(
             p if (prior := known.get(p.name, p.prior)) == p.prior else replace(p, prior=prior) for p in whole.parameters
         )
+        if (count := sum(parameter.kind != "term" for parameter in parameters)) > _MOST_UNKNOWNS:
+            raise IdentificationError(
+                f"terms are chosen beside {_MOST_UNKNOWNS} unknowns of arm, base, tools and targets at most, and here "
+                f"are {count}; choose them by some of the targets, or by hand."
+            )
         self._problem = replace(whole, parameters=parameters, reference=frames, held=held, given_losses=given)
         self._x = values_at(full.robot, parameters, frames, held)
         self._sigmas = sigmas_of(

@@ -8,6 +8,7 @@ import pytest
 
 import calib
 from calib.assessment import choice as choice_module
+from calib.assessment import linearised
 from calib.assessment.choice import candidates, choose_terms
 from calib.assessment.linearised import Candidate, LinearisedSystem
 from calib.assessment.validation import cross_validate
@@ -333,6 +334,20 @@ def test_other_kinds_of_observation_are_judged_as_well() -> None:
     assert set(harmonic(robot.readings[1].name, 3)) <= set(choice.terms)
     assert list(choice.steps[0].rms) == ["position", "distance"]
     assert choice.steps[choice.taken].rms["distance"] < 0.8 * choice.steps[0].rms["distance"]
+
+
+def test_terms_are_not_chosen_beside_very_many_unknowns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A table of 545 kB with 2200 planes took more than a minute and 3.6 GB."""
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    true = machines.Machine(arm, np.eye(4), {"tool": machines.pose((0.05, 0.0, 0.1))})
+    rng = np.random.default_rng(2)
+    data = true.measure(robot, arm.draw(rng, 30), rng=rng, sigma=1e-5)
+    fit = calib.identify(calib.error_model(robot, offsets="all"), data)
+    monkeypatch.setattr(linearised, "_MOST_UNKNOWNS", 14)
+    with pytest.raises(IdentificationError, match=r"unknowns of arm, .* at most, and here are 15; choose"):
+        LinearisedSystem(fit, (), None, np.ones(30, dtype=bool), np.zeros(0))
+    monkeypatch.setattr(linearised, "_MOST_UNKNOWNS", 15)
+    LinearisedSystem(fit, (), None, np.ones(30, dtype=bool), np.zeros(0))
 
 
 def test_between_places_the_loops_of_the_identified_machine_close_too() -> None:
