@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array, IntArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DEG, MM
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
@@ -34,6 +34,8 @@ _GOOD, _CLEARLY = 0.05, 4.0
 _BEYOND_DOUBT = 0.01
 # Photographs that are off by so many times the median do not take part in the second fit.
 _STRAY = 3.0
+# Where all photographs fit badly, each of so many parts is left out once.
+_PARTS = 4
 # Rotations that agree to so much are the same.
 _SAME = 1e-3
 _NUMBER = re.compile("[0-9]+")
@@ -184,14 +186,24 @@ def _off(poses: Array, seen: Seen, camera_on: CameraPlace) -> _Off:
     measured = rigid.inverse(boards) if camera_on == "tip" else boards
     rows = TipObservations(tips, measured[:, :3, 3], measured[:, :3, :3], np.zeros(len(tips), dtype=np.intp))
     away = float(np.median(np.linalg.norm(boards[:, :3, 3], axis=1)))
-    kept = np.ones(len(tips), dtype=np.bool_)
-    for _ in range(2):
+
+    def off(kept: BoolArray) -> tuple[Array, Array, Array]:
         base, tools, _ = base_and_tools(rows.some(kept), KnownFrames(None, None, None), np.eye(4)[None])
         T = rigid.inverse(base @ tips @ tools[0]) @ measured
         lengths, angles = np.linalg.norm(T[:, :3, 3], axis=1), np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)
-        off = np.hypot(lengths / away, angles)
-        kept = off <= _STRAY * float(np.median(off))
-    return _Off(float(np.median(lengths)), float(np.median(angles)), float(np.median(off)))
+        return lengths, angles, np.hypot(lengths / away, angles)
+
+    found = off(np.ones(len(tips), dtype=np.bool_))
+    if np.median(found[2]) > _GOOD:
+        # One photograph that is far off may turn all of them.
+        parts = np.arange(len(tips)) % min(_PARTS, len(tips))
+        found = min(found, *(off(parts != k) for k in np.unique(parts)), key=_median_share)
+    found = min(found, off(found[2] <= _STRAY * float(np.median(found[2]))), key=_median_share)
+    return _Off(*(float(np.median(each)) for each in found))
+
+
+def _median_share(found: tuple[Array, Array, Array]) -> float:
+    return float(np.median(found[2]))
 
 
 def _ways(table: Table, poses: Array, camera_on: CameraPlace, images: Sequence[str]) -> Iterator[_Way]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.job.flange_poses import Seen, way_up
+from calib.job.flange_poses import Seen, _off, way_up
 from calib.job.half_turns import half_turns
 from calib.measurement.prints import Print
 from scripts.simulate import photographs as simulation
@@ -213,3 +213,15 @@ def test_what_cannot_be_told_is_refused_in_a_sentence(tmp_path: Path) -> None:
     said = imported(tmp_path, "flange.csv")
     assert "a chessboard of 7 x 7 squares looks the same from all four sides" in said.err
     assert not list(tmp_path.glob("marks*"))
+
+
+@pytest.mark.parametrize("seed", [2, 3, 5, 7, 8, 9])
+def test_one_photograph_that_is_far_off_does_not_hide_that_others_fit(seed: int) -> None:
+    """Of a camera beside the robot, read as one on the flange of which the poses are inverse: the same."""
+    rng = np.random.default_rng(seed)
+    boards = before_camera(rng, 9)
+    tips = flanges(rng, boards, "floor")
+    tips[4] = tips[4] @ pose(np.zeros(3), np.array([0.3, 1.1, -0.4]))
+    corner = pose(np.array([-0.104, -0.078, 0.0]), np.zeros(3))
+    found = _off(np.linalg.inv(tips), Seen(boards @ corner, np.arange(9)), "tip")
+    assert found.share < 1e-6
