@@ -75,8 +75,9 @@ def _explained(found: Verification) -> list[str]:
         also, joint = " as well" if lines else "", anew.or_offset_of
         alike = f", or the offset of {joint!r} has changed, which looks the same" if joint else ""
         lines.append(f"{_as_subject(_moved(anew))} explains them{also}: {_ELSEWHERE[what]}{alike}.")
-    if more and not enough:
-        anew = list(more.values())[-1]
+    tried = list(more.values()) or ([] if found.refit is None else [found.anew[found.refit]])
+    if tried and not enough:
+        anew = tried[-1]
         left = figures_in("m", anew.judgement.metrics["position"].rms)[0]
         lines.append(
             f"{_as_subject(_moved(anew))} leaves {left} mm rms, more than the stated uncertainty explains: the arm "

@@ -160,7 +160,8 @@ def test_base_and_tool_are_found_anew_together() -> None:
     ), said
     bent = seen(with_zero(other, "elbow_joint", 1e-3), 12, 7)
     said = " ".join(map(str, verification_lines(verify(u, bent, refit=True, refit_tool=True))))
-    assert said.endswith("Failed.")
+    assert said.endswith("is stated too small. Failed.")
+    assert re.search(r"A base moved by .*, with a tool moved by .*, leaves .* mm rms, .*: the arm itself has ch", said)
     assert "explains them" not in said
 
 
