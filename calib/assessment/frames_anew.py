@@ -41,8 +41,8 @@ def not_shown(machine: CalibratedMachine, data: Measurements, what: Anew) -> str
     if what == "both" and len(setups) > 1:
         return "base and tool are found anew together in one set-up at a time"
     if what != "base" and data.points is not None:
-        return "every row has a point of its own in the tool's frame, which do not show where the tool is"
-    if data.sigma.size <= frame_columns(machine, data, what).shape[2]:
+        return "every row has a point of its own in the tool's frame, so that rows do not show where the tool is"
+    if data.sigma.size <= 6 * len(places) + data.sigma.shape[1] * len(held):
         sought = "base and tool" if what == "both" else f"the {what}"
         return f"{counted(len(data), 'row')} are too few to find {sought} anew"
     if what != "tool" and _shown(machine, data, "base") < _NEARLY_NOT:
@@ -99,10 +99,9 @@ def motion(
 
 
 def _largest(before: Mapping[str, Array], after: Mapping[str, Array]) -> tuple[float, float]:
-    changes = [rigid.inverse(before[name]) @ after[name] for name in before]
-    return max(
-        (float(np.linalg.norm(change[:3, 3])), float(np.linalg.norm(rigid.log3(change[:3, :3])))) for change in changes
-    )
+    changes = np.array([rigid.inverse(before[name]) @ after[name] for name in before])
+    lengths, angles = rigid.lengths_and_angles(changes)
+    return max(zip(lengths.tolist(), angles.tolist(), strict=True))
 
 
 def offset_alike(
@@ -172,13 +171,13 @@ def _by_frame(machine: CalibratedMachine, data: Measurements, what: Anew) -> Ite
     in_base = data.tips(machine.robot, machine.deviations) @ data.placed_by(machine.state.frames.tools)
     turned = (machine.state.frames.bases[data.setup] @ in_base)[:, :3, :3]
     # Residuals count turns about the tool's axes.
-    motion = np.tile(np.eye(6), (len(data), 1, 1)) if what == "tool" else rigid.adjoint(rigid.inverse(in_base))
-    motion[:, :3] = turned @ motion[:, :3]
+    moves = np.tile(np.eye(6), (len(data), 1, 1)) if what == "tool" else rigid.adjoint(rigid.inverse(in_base))
+    moves[:, :3] = turned @ moves[:, :3]
     d = data.sigma.shape[1]
-    motion = motion[:, :d, : d if what == "tool" else 6]
+    moves = moves[:, :d, : d if what == "tool" else 6]
     names, which = (data.tools, data.tool) if what == "tool" else (data.setups, data.setup)
     for k in np.unique(which):
-        yield names[k], np.where((which == k)[:, None, None], motion, 0.0)
+        yield names[k], np.where((which == k)[:, None, None], moves, 0.0)
 
 
 def _shown(machine: CalibratedMachine, data: Measurements, what: Anew) -> float:

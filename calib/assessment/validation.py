@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
+from calib.foundations.arrays import Array, BoolArray, IntArray, number_in_kind, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
 from calib.foundations.errors import JobError, MeasurementError
@@ -314,12 +314,8 @@ def some_rows(measurements: Sequence[Measurements], group: IntArray, rows: int) 
     ]
     readings = np.concatenate([both_ends(data) for data in measurements])
     drawn = np.lexsort((np.concatenate(seen), *readings.T))[np.random.default_rng(0).permutation(len(group))]
-    by_group = drawn[np.argsort(group[drawn], kind="stable")]
-    sizes = np.bincount(group)
-    visit = np.empty(len(group), dtype=np.intp)
-    visit[by_group] = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     chosen = np.zeros(len(group), dtype=np.bool_)
-    chosen[drawn[np.argsort(visit[drawn], kind="stable")[:rows]]] = True
+    chosen[drawn[np.argsort(number_in_kind(group[drawn]), kind="stable")[:rows]]] = True
     return chosen
 
 

@@ -54,7 +54,6 @@ def verify(
         from calib.machine.model_file import load_machine
         from calib.measurement.checks import refuse_findings, table_findings, unreached
         from calib.measurement.formats.sheet import read_sheet
-        from calib.measurement.layout import name_and_unit
         from calib.measurement.read import read_measurements
         from calib.measurement.table import Columns, HeaderError
         from calib.presentation.acceptance_tables import verification_lines, verification_sheet
@@ -75,8 +74,7 @@ def verify(
                 else columns_of_results(results, observes),
             ).named(tool=tool, setup=setup)
         except HeaderError as e:
-            titles = {name_and_unit(title)[0].split("[")[0].strip() for title in read_sheet(measurements).titles}
-            if {"u", "v"} <= titles:
+            if {"u", "v"} <= set(read_sheet(measurements).names):
                 raise MeasurementError(
                     f"{measurements}: pixels of photographs are not verified; name this table in a [[measurements]] of "
                     'the job, with use = "validate", and calibrate again: the report tells its errors apart.'

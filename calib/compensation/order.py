@@ -117,6 +117,7 @@ def _with_missed(
     )
     between = rigid.inverse(taken) @ told
     position, orientation = found.position_error.copy(), found.orientation_error.copy()
-    position[rows] += np.linalg.norm(between[:, :3, 3], axis=1)
-    orientation[rows] += np.linalg.norm(rigid.log3(between[:, :3, :3]), axis=1)
+    lengths, angles = rigid.lengths_and_angles(between)
+    position[rows] += lengths
+    orientation[rows] += angles
     return replace(found, position_error=read_only_view(position), orientation_error=read_only_view(orientation))

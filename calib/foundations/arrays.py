@@ -35,6 +35,21 @@ def as_slice(those: IntArray) -> slice | IntArray:
     return slice(first, end) if end - first == len(those) else those
 
 
+def evenly(count: int, most: int) -> slice:
+    """Return the slice that takes no more than ``most`` of ``count`` things: the first one, and evenly those behind."""
+    return slice(None, None, max(1, -(-count // most)))
+
+
+def number_in_kind(*kinds: IntArray) -> IntArray:
+    """Return the number (N,) of every row among those before it that are alike in all ``kinds`` (N,) each."""
+    order = np.lexsort(kinds)
+    first = np.concatenate([[True], np.any([np.diff(kind[order]) != 0 for kind in kinds], axis=0)])[: len(order)]
+    number = np.arange(len(order))
+    found = np.empty_like(number)
+    found[order] = number - np.maximum.accumulate(np.where(first, number, 0))
+    return found
+
+
 def rows_by_word(words: Iterable[Word]) -> dict[Word, IntArray]:
     """Return the rows of every word, words in the order of their first row."""
     found: dict[Word, list[int]] = {}

@@ -101,6 +101,11 @@ def log3(R: Array) -> Array:
     return w.T.reshape(R.shape[:-1])
 
 
+def lengths_and_angles(T: Array) -> tuple[Array, Array]:
+    """Return how far placements (..., 4, 4) shift, and by what angle they turn, in rad."""
+    return np.linalg.norm(T[..., :3, 3], axis=-1), np.linalg.norm(log3(T[..., :3, :3]), axis=-1)
+
+
 def log3_with_derivative(R: Array) -> tuple[Array, Array]:
     """Return the rotation vectors w (3, n) of rotations (3, 3, n), rows last, and :func:`left_jacobian_inverse` of w.
 

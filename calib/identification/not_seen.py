@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.arrays import Array, IntArray, number_in_kind, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import PoseError
 from calib.foundations.linear import ROUNDING, one_thread, svd, triangle
@@ -163,7 +163,7 @@ class AlongNullSpace:
             every = -(-len(data) // enough)
             plain = alike or (together is None and problem.losses[i] == "linear")
             if every > 1 and data.stream is None and plain:
-                rows = _spread(np.stack([data.setup, data.tool, data.target]), every)
+                rows = np.flatnonzero(number_in_kind(data.setup, data.tool, data.target) % every == 0)
                 sets.append(data.subset(rows))
                 sigmas.append(sigma[rows] * np.sqrt(len(rows) / len(data)))
             else:
@@ -179,15 +179,6 @@ class AlongNullSpace:
         likely = [parameters[k] for k in common]
         found[common] = likely_widths(likely, -left[:, :-1], left[:, -1], (self.values / units)[common], POWER)
         return found
-
-
-def _spread(kinds: IntArray, every: int) -> IntArray:
-    """Return one of so many rows (n,) of each kind, of kinds (k, N), in order; the first one at least."""
-    _, kind = np.unique(kinds, axis=1, return_inverse=True)
-    order = np.argsort(kind.ravel(), kind="stable")
-    starts = np.flatnonzero(np.diff(kind.ravel()[order], prepend=-1))
-    within = np.arange(len(order)) - np.repeat(starts, np.diff(np.append(starts, len(order))))
-    return np.sort(order[within % every == 0])
 
 
 def _mean_fourth_power(cost: float) -> float:

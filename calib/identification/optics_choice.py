@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, evenly
 from calib.foundations.linear import spread
 from calib.identification.initialisation.lenses import LEAST_PHOTOGRAPHS, legible, photographs_of
 from calib.identification.photographs import Bundle, clearly_better, found_optics, held_out
@@ -113,7 +113,7 @@ class _Fitted:
 def _fit(sets: Sequence[Measurements], camera: Camera, board: Board) -> _Fitted | None:
     some = [one for data in sets for one in photographs_of(seen_by(data, camera, board))]
     some = legible(some, camera.lens)
-    some = some[:: max(-(-len(some) // _MOST), 1)]
+    some = some[evenly(len(some), _MOST)]
     bundle = found_optics(some, camera.free, camera.lens) if len(some) >= LEAST_PHOTOGRAPHS else None
     if bundle is None:
         return None

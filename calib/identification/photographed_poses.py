@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations import rigid
-from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
+from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.identification.error_model import ErrorModel
-from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
+from calib.identification.initialisation.base_and_tools import TipObservations, poses_off
 from calib.identification.initialisation.cameras import every_image, sights
 from calib.identification.initialisation.lenses import with_found_lenses
 from calib.measurement.instruments import CameraPlace
@@ -101,10 +100,10 @@ def strays(model: ErrorModel, sets: Sequence[Measurements]) -> Strays | None:
     rng, reach = np.random.default_rng(0), model.robot.reach
     kept = min(
         (rng.permutation(n)[: _TRIED * tools] for _ in range(_TRIALS)),
-        key=lambda rows: float(np.median(_far(*_off(every, rows, tools), reach))),
+        key=lambda rows: float(np.median(_far(*poses_off(every, rows, tools), reach))),
     )
     for _ in range(3):
-        lengths, angles = _off(every, kept, tools)
+        lengths, angles = poses_off(every, kept, tools)
         far = _far(lengths, angles, reach)
         good = far <= max(_FARTHER * float(np.median(far)), _FAR * reach)
         kept = np.flatnonzero(good)
@@ -113,13 +112,6 @@ def strays(model: ErrorModel, sets: Sequence[Measurements]) -> Strays | None:
     names = [name for data in sets for name in (data.group or [f"{data.where}:{line}" for line in data.lines])]
     bad = np.flatnonzero(~good)
     return Strays(tuple(names[k] for k in bad), lengths[bad], angles[bad])
-
-
-def _off(every: TipObservations, rows: IntArray, tools: int) -> tuple[Array, Array]:
-    """Return how far off all poses are, in m and rad, where base and tools are found from some rows."""
-    base, found, _ = base_and_tools(every.some(rows), KnownFrames(None, None, None), np.tile(np.eye(4), (tools, 1, 1)))
-    T = rigid.inverse(base @ every.tips @ found[every.tool]) @ rigid.placement(every.orientation, every.position)
-    return np.linalg.norm(T[:, :3, 3], axis=1), np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)
 
 
 def _far(lengths: Array, angles: Array, reach: float) -> Array:

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.arrays import Array, BoolArray, IntArray, evenly
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DEG, MM
-from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
+from calib.identification.initialisation.base_and_tools import TipObservations, poses_off
 from calib.identification.initialisation.lenses import legible
 from calib.identification.photographs import Photograph, found_optics, poses_of
 from calib.job.half_turns import AGREE, half_turns
@@ -54,8 +54,8 @@ class Seen(NamedTuple):
     @property
     def few(self) -> "Seen":
         """As many of them as decide, evenly among all."""
-        every = -(-len(self.rows) // _MOST) or 1
-        return self._replace(boards=self.boards[::every], rows=self.rows[::every])
+        some = evenly(len(self.rows), _MOST)
+        return self._replace(boards=self.boards[some], rows=self.rows[some])
 
     def upright(self, tips: Array) -> Array:
         """Return the poses (n, 4, 4) of the board, all the same way up by the poses (n, 4, 4) of the flange there."""
@@ -108,12 +108,11 @@ def shown_by(
     """
     free = (*FOCAL, *CENTRE, *BENT)
     lens = Camera("tip", free=free, size=size).lens
-    every = -(-len(rows) // _MOST) or 1
     given = [
         (Photograph(pixels, marks, np.zeros((len(pixels), 3, 0)), np.ones_like(pixels)), row)
         for (pixels, marks), row in zip(photographs, rows, strict=True)
     ]
-    told = [(one, row) for one, row in given[::every] if legible([one], lens)]
+    told = [(one, row) for one, row in given[evenly(len(given), _MOST)] if legible([one], lens)]
     found = found_optics([one for one, _ in told], free, lens) if len(told) >= LEAST else None
     if found is None:
         return None
@@ -188,9 +187,7 @@ def _off(poses: Array, seen: Seen, camera_on: CameraPlace) -> _Off:
     away = float(np.median(np.linalg.norm(boards[:, :3, 3], axis=1)))
 
     def off(kept: BoolArray) -> tuple[Array, Array, Array]:
-        base, tools, _ = base_and_tools(rows.some(kept), KnownFrames(None, None, None), np.eye(4)[None])
-        T = rigid.inverse(base @ tips @ tools[0]) @ measured
-        lengths, angles = np.linalg.norm(T[:, :3, 3], axis=1), np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)
+        lengths, angles = poses_off(rows, kept, 1)
         return lengths, angles, np.hypot(lengths / away, angles)
 
     found = off(np.ones(len(tips), dtype=np.bool_))

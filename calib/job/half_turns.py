@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.arrays import Array, BoolArray, IntArray, evenly
 
 # Angles, in rad, that agree, and such as surely do not: an arm and photographs of a board are right to a few degrees.
 AGREE, _DIFFER = 0.05, 0.2
@@ -42,7 +42,7 @@ def half_turns(boards: Array, tips: Array) -> HalfTurns:
     What is told holds among those that are: all of them might be the other way up.
     """
     boards, tips = boards[:, :3, :3], tips[:, :3, :3]
-    some = np.arange(0, len(boards), -(-len(boards) // _MOST) or 1, dtype=np.intp)
+    some = np.arange(len(boards), dtype=np.intp)[evenly(len(boards), _MOST)]
     votes = _votes(boards, tips, some)
     votes.sign[some, np.arange(len(some))] = 0.0
     among = votes.sign[some]

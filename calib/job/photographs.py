@@ -37,7 +37,6 @@ from calib.measurement.formats.images import (
 )
 from calib.measurement.formats.sheet import Sheet, read_sheet
 from calib.measurement.instruments import CameraPlace
-from calib.measurement.layout import name_and_unit
 from calib.measurement.orientations import ANGLES
 from calib.measurement.prints import Print
 from calib.measurement.table import Columns, Table, read_table
@@ -328,7 +327,7 @@ class _Given(NamedTuple):
 def _given(path: Path, robot: Robot | None, orientation: str | None) -> _Given:
     """Return what a table has. Raises CalibError where there is no column of images, or poses cannot be read."""
     sheet = read_sheet(path)
-    names = _names(sheet)
+    names = sheet.names
     if IMAGE not in names:
         raise MeasurementError(f"{path}: there is no column {IMAGE!r}; the columns are {', '.join(map(repr, names))}.")
     images = tuple(_images(sheet, names.index(IMAGE)))
@@ -418,7 +417,7 @@ def _arm(urdf: str | Path, tip: str | None, readings: Path) -> tuple[Robot, tupl
     document = read_urdf(urdf)
     if tip is not None:
         return load_robot(document, tip), ()
-    known = set(_names(read_sheet(readings)))
+    known = set(read_sheet(readings).names)
     found = next((arm for arm in chains(document) if known.issuperset(arm.joints)), None)
     whole = whole_chains(document)
     if found is None and len(whole) == 1:
@@ -427,10 +426,6 @@ def _arm(urdf: str | Path, tip: str | None, readings: Path) -> tuple[Robot, tupl
         return load_robot(document), ()
     others = f"; {listed(found.others, most=4)} would do as well" if found.others else ""
     return load_robot(document, found.tip, found.base), (f"{document.where}: the tip is {found.tip}{others}",)
-
-
-def _names(sheet: Sheet) -> list[str]:
-    return [name_and_unit(title)[0].strip().split("[")[0].strip() for title in sheet.titles]
 
 
 def _images(sheet: Sheet, column: int) -> list[str]:

@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
@@ -196,3 +197,11 @@ def test_nearest_rotation() -> None:
         other = near @ rigid.exp3(e)
         assert (np.linalg.norm(other - noisy, axis=(1, 2)) > np.linalg.norm(near - noisy, axis=(1, 2))).all()
     np.testing.assert_allclose(np.linalg.det(rigid.nearest_rotation(-R)), 1.0, atol=1e-14)
+
+
+def test_lengths_and_angles_of_placements() -> None:
+    rng = np.random.default_rng(4)
+    turns, shifts = rng.normal(scale=0.7, size=(20, 3)), rng.normal(size=(20, 3))
+    lengths, angles = rigid.lengths_and_angles(rigid.placement(Rotation.from_rotvec(turns).as_matrix(), shifts))
+    np.testing.assert_allclose(lengths, np.linalg.norm(shifts, axis=1))
+    np.testing.assert_allclose(angles, Rotation.from_rotvec(turns).magnitude())

@@ -98,6 +98,13 @@ def base_and_tools(rows: TipObservations, known: KnownFrames, guess: Array) -> B
     return BaseAndTools(base, rigid.placement(rotations, points), _shown(Vt, count, len(guess)))
 
 
+def poses_off(rows: TipObservations, some: BoolArray | IntArray, tools: int) -> tuple[Array, Array]:
+    """Return how far off all poses (n,) are, in m and rad, where base and ``tools`` are found from some of them."""
+    base, found, _ = base_and_tools(rows.some(some), KnownFrames(None, None, None), np.tile(np.eye(4), (tools, 1, 1)))
+    placed = rigid.inverse(base @ rows.tips @ found[rows.tool])
+    return rigid.lengths_and_angles(placed @ rigid.placement(rows.orientation, rows.position))
+
+
 def points_together(
     rows: TipObservations, setup: IntArray, bases: Array, given: BoolArray, points: Array, sought: BoolArray
 ) -> tuple[Array, BoolArray]:

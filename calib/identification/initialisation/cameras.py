@@ -270,9 +270,8 @@ def _aligned(model: ErrorModel, images: Sequence[Image], tools: Array) -> tuple[
     base, found = start
     # An image that is read wrongly is by far off the others.
     T = rigid.inverse(base @ tips @ found[tool]) @ poses
-    kept = not_outlying(model.robot.reach * np.linalg.norm(rigid.log3(T[:, :3, :3]), axis=1)) & not_outlying(
-        np.linalg.norm(T[:, :3, 3], axis=1)
-    )
+    lengths, angles = rigid.lengths_and_angles(T)
+    kept = not_outlying(model.robot.reach * angles) & not_outlying(lengths)
     return start if kept.all() else aligned(poses, np.flatnonzero(kept))
 
 

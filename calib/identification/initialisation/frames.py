@@ -13,7 +13,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.arrays import Array, BoolArray, IntArray, number_in_kind
 from calib.foundations.errors import MeasurementError
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation import cameras
@@ -316,12 +316,8 @@ def _thinned(data: Measurements) -> Measurements:
     step = -(-len(data) // _ENOUGH)
     if step == 1 or data.camera is not None:  # the marks of an image stay together
         return data
-    order = np.lexsort((data.target, data.tool))
-    tool, target = data.tool[order], data.target[order]
-    first = np.concatenate([[True], (np.diff(tool) != 0) | (np.diff(target) != 0)])
-    number = np.arange(len(order))
-    number -= np.maximum.accumulate(np.where(first, number, 0))
-    return data.subset(np.sort(order[(number % step == 0) | (number < _FEW)]))
+    number = number_in_kind(data.tool, data.target)
+    return data.subset((number % step == 0) | (number < _FEW))
 
 
 def turned_by(data: Measurements) -> bool:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.foundations.arrays import evenly
 from calib.foundations.errors import MeasurementError
 from calib.identification.photographs import Optics, Photograph, found_optics, poses_of
 from calib.measurement.instruments import Camera
@@ -94,7 +95,7 @@ def _found(camera: Camera, sets: Sequence[Measurements]) -> Lens:
         photograph._replace(modes=photograph.modes[:, :, :0]) for data in sets for photograph in photographs_of(data)
     ]
     own = legible(own, camera.lens)
-    own = own[:: -(-len(own) // _ENOUGH) or 1]
+    own = own[evenly(len(own), _ENOUGH)]
     found = found_optics(own, camera.free, camera.lens) if len(own) >= LEAST_PHOTOGRAPHS else None
     if found is None:
         raise MeasurementError(

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.arrays import Array, IntArray, evenly, read_only
 from calib.identification.initialisation.target_poses import centre
 from calib.measurement.measurements import Measurements, numbered
 
@@ -74,7 +74,7 @@ def _balls(data: Measurements, tips: Array, known: Sequence[Array | None], tool:
     both = data.target[rows] * (1 + len(data.setups)) + data.setup[rows]
     found = []
     for _, own in numbered(both):
-        some = rows[own[:: -(-len(own) // _ENOUGH)]]
+        some = rows[own[evenly(len(own), _ENOUGH)]]
         found.append(_Touches(data.subset(some), tips[some], data.value[some, 0], known[some[0]]))
     return found
 

@@ -11,7 +11,7 @@ from calib.foundations.files import read_bytes
 from calib.foundations.words import counted, listed, shown
 from calib.measurement.cells import cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats import arrays, logs, records, workbook
-from calib.measurement.layout import is_number, layout, with_point, with_units
+from calib.measurement.layout import is_number, layout, name_and_unit, with_point, with_units
 
 _MOST_COLUMNS = 1000
 # Files other than plain tables are held as cells of text: some hundred bytes each.
@@ -36,6 +36,11 @@ class Sheet:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "titles", tuple(map(_of_one_line, self.titles)))
+
+    @property
+    def names(self) -> list[str]:
+        """The titles without units, also such as are unknown."""
+        return [name_and_unit(title)[0].strip().split("[")[0].strip() for title in self.titles]
 
     def csv(self) -> str:
         """Return the sheet as a comma-separated table; one without names has no header."""
