@@ -133,7 +133,7 @@ COUNTS: Mapping[str, int] = MappingProxyType(
         "tools": 100,
         "instruments": 200,
         "targets": 100,
-        "relations": 1000,
+        "relations": 300,
         "levels": 50,
         "measurements": 100,
         "measurements.columns": 1000,
@@ -144,8 +144,11 @@ COUNTS: Mapping[str, int] = MappingProxyType(
 MOST_SETUPS = COUNTS["setups"]
 MOST_TOOLS = COUNTS["tools"]
 # Of both together: rows that see all pairs of many have nothing in common by which they could be reduced.
-MOST_FRAMES = 101
-MOST_TARGETS = 20_000
+MOST_FRAMES = 81
+# Of targets that are touched, and of marks in photographs, which take less.
+MOST_TARGETS, MOST_MARKS = 500, 20_000
+# Of targets that relations join, which are not eliminated.
+MOST_RELATED, MOST_RELATIONS = 50, COUNTS["relations"]
 # Joint terms of a machine: all harmonics of 200 joints in 20 orders.
 MOST_TERMS = 8000
 # Of names and globs, wherever a list of them may stand.

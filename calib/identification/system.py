@@ -333,7 +333,7 @@ def _related(problem: Problem, rates: Rates, at: Machine) -> Array:
     names = problem.measurements[0].targets if problem.measurements else ()
     numbers = sorted({names.index(name) for relation in problem.relations for name in relation.targets})
     J, r = relate(problem.relations, [names[t] for t in numbers], at.frames.targets[numbers])
-    return np.column_stack([np.einsum("kmi,mic->kc", J, rates.of_targets.twists(numbers)), r])
+    return np.column_stack([np.tensordot(J, rates.of_targets.twists(numbers), axes=2), r])
 
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:

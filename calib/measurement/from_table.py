@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS, RANGES, refuse_beyond
+from calib.foundations.ranges import MOST_MARKS, MOST_SETUPS, MOST_TARGETS, MOST_TOOLS, RANGES, refuse_beyond
 from calib.foundations.units import Dimension
 from calib.foundations.words import refuse_other
 from calib.measurement.boards import Board
@@ -128,16 +128,18 @@ def measurements_from_table(
         noise = np.hstack([noise, _noise(table, SIGMA_ANGLES, "angle", {"sigma_angle": angle}, 3)])
     tools, tool = _numbered(words(table, "tool"), joints.tool, len(table))
     setups, setup = _numbered(words(table, "setup"), ONLY_SETUP, len(table))
-    targets, target = _numbered(words(table, "target"), "target", len(table))
+    targets, target = (
+        _numbered(words(table, "target"), "target", len(table))
+        if kind in WITH_TARGET
+        else ((), np.full(len(table), -1, dtype=np.intp))
+    )
     for names, column, most in (
         (tools, "tool", MOST_TOOLS),
         (setups, "setup", MOST_SETUPS),
-        (targets, "target", MOST_TARGETS),
+        (targets, "target", MOST_MARKS if kind == "pixels" else MOST_TARGETS),
     ):
         if len(names) > most:
             raise MeasurementError(f"{table.where}: column {column!r} has {len(names)} names; allowed are {most}.")
-    if kind not in WITH_TARGET:
-        targets, target = (), np.full(len(table), -1, dtype=np.intp)
     unknown = "radius" if kind == "sphere" else "offset"
     found = Measurements(
         kind=kind,

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from calib.foundations.ranges import COUNTS, MOST_RELATED, MOST_TARGETS
 from calib.job.stated import load_arm
 from calib.machine.gaussian import GaussianResiduals, Kernel, gaussian_bytes
 from calib.robot.load import load_robot
@@ -608,6 +609,31 @@ def _different(job: tuple[tuple[str, str], ...] = (), sigma: float = _NOISE) -> 
             _edited(path, old, new)
 
     return write
+
+
+def _unrelated(observes: str, rows: int, cells: str = "", columns: str = "", relations: int = 0) -> Hostile:
+    """Fill a table with ``rows`` touches of each of most targets at poses that have nothing to do with them.
+
+    ``relations`` between as many targets as may have some contradict each other.
+    """
+
+    def write(folder: Path, size: int) -> None:
+        robot = load_robot(folder / "arm_cmm.urdf", "probe")
+        header, table = _seen_by_tracker(robot, min(size // 60, MOST_TARGETS * rows))
+        targets = MOST_RELATED if relations else MOST_TARGETS
+        touched = [f"{','.join(f'{v:.3f}' for v in row[:-3])},t{k % targets}{cells}" for k, row in enumerate(table)]
+        header = f"{header.rpartition(',x')[0]},target{columns}"
+        (folder / "identification.csv").write_text("\n".join([header, *touched]) + "\n", encoding="utf-8")
+        rng = np.random.default_rng(0)
+        pairs = [rng.choice(targets, 2, replace=False) for _ in range(relations)]
+        known = (
+            f'[[relations]]\ntargets = ["t{a}", "t{b}"]\ndistance = "{100 + a + b} mm"\nsigma = "0.1 mm"\n'
+            for a, b in pairs
+        )
+        section = f'[[measurements]]\nfile = "identification.csv"\nobserves = "{observes}"\nsigma = "0.1 mm"\n'
+        _own_job(folder, "arm_cmm.urdf", "probe", 'base = "fixed"\n', section, *known)
+
+    return Hostile(write)
 
 
 def _parallelogram(folder: Path, size: int) -> None:
@@ -1437,16 +1463,21 @@ HOSTILE: dict[str, Hostile] = {
     "groups": _rows(lambda k: f"g{k}", "group"),
     "pairs": _rows(lambda k: f"p{k // 2}", "pair"),
     "pair distances": _rows(lambda k: f"p{k // 2},1", "pair,length [m]", _observed("pair_distance")),
-    "sockets": _rows(lambda k: f"t{k // 3}", "target", _observed("socket")),
+    "sockets": _rows(lambda k: f"t{k // 3 % MOST_TARGETS}", "target", _observed("socket")),
     "one socket": _rows(lambda _: "t", "target", _observed("socket")),
-    "planes": _rows(lambda k: f"t{k // 4},1", "target,ball [mm]", _observed("plane")),
+    "planes": _rows(lambda k: f"t{k // 4 % MOST_TARGETS},1", "target,ball [mm]", _observed("plane")),
     "one plane": _rows(lambda _: "t,1", "target,ball [mm]", _observed("plane")),
     "spheres that are touched": _rows(
-        lambda k: f"t{k // 5},1,30", "target,ball [mm],diameter [mm]", _observed("sphere")
+        lambda k: f"t{k // 5 % MOST_TARGETS},1,30", "target,ball [mm],diameter [mm]", _observed("sphere")
     ),
     "one sphere": _rows(lambda _: "t,1,30", "target,ball [mm],diameter [mm]", _observed("sphere")),
-    "distances": _rows(lambda k: f"t{k // 4},1", "target,length [m]", _observed("distance")),
-    "indicators": _rows(lambda k: f"t{k // 4},1", "target,indicated [mm]", _observed("indicator")),
+    "unrelated sockets": _unrelated("socket", 3),
+    "unrelated planes": _unrelated("plane", 5, ",6", ",ball [mm]"),
+    "unrelated spheres": _unrelated("sphere", 5, ",6,25", ",ball [mm],diameter [mm]"),
+    "unrelated distances": _unrelated("distance", 5, ",1", ",length [m]"),
+    "relations that contradict": _unrelated("socket", 2, relations=COUNTS["relations"]),
+    "distances": _rows(lambda k: f"t{k // 4 % MOST_TARGETS},1", "target,length [m]", _observed("distance")),
+    "indicators": _rows(lambda k: f"t{k // 4 % MOST_TARGETS},1", "target,indicated [mm]", _observed("indicator")),
     "held out groups": _rows(lambda k: f"g{k}", "group", (('sigma = "0.02 mm"', 'sigma = "0.02 mm"\nhold_out = 0.5'),)),
     "chosen terms": _rows(lambda _: "", "", (("[error_model]", '[error_model]\nterms = "auto"'),)),
     "models of many rows": Hostile(_rows(lambda _: "", "").write, _MODELS),

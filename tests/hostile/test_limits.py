@@ -7,11 +7,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from calib.foundations.errors import CalibError, MeasurementError, RobotError
-from calib.foundations.ranges import COUNTS, MOST_NAMES, MOST_TARGETS
+from calib.foundations.errors import CalibError, JobError, MeasurementError, RobotError
+from calib.foundations.ranges import COUNTS, MOST_NAMES, MOST_RELATED, MOST_TARGETS
 from calib.identification import sanity
-from calib.identification.error_model import error_model
+from calib.identification.error_model import Known, error_model
 from calib.identification.identify import identify
+from calib.identification.relations import Relation
 from calib.job.chains import chains, whole_chains
 from calib.job.foreign import picks
 from calib.job.foreign.seen import Seen
@@ -88,12 +89,34 @@ def test_unknowns_of_several_tables_end() -> None:
             "target": [f"t{k}-{i}" for i in range(n)],
         }
         if k == 2:
-            with pytest.raises(MeasurementError, match=r"column 'target' has 20001 names; allowed are 20000\.$"):
+            with pytest.raises(MeasurementError, match=r"column 'target' has 501 names; allowed are 500\.$"):
                 read_measurements(table, robot, "socket", sigma=1e-5)
             break
         sets.append(read_measurements(table, robot, "socket", sigma=1e-5))
-    with pytest.raises(MeasurementError, match=r"the measurements have 20002 targets together; allowed are 20000\."):
+    with pytest.raises(
+        MeasurementError, match=r"the measurements have 502 touched targets together; allowed are 500\."
+    ):
         identify(error_model(robot, offsets="all"), sets)
+
+
+def test_targets_that_relations_join_end() -> None:
+    robot = load_robot(parse_urdf(hostile_files._chain(2).encode(), "arm.urdf"))
+    n = MOST_RELATED + 1
+    table = {f"j{k} [rad]": np.ones(n) for k in range(2)} | {"target": [f"t{i}" for i in range(n)]}
+    data = read_measurements(table, robot, "socket", sigma=1e-5)
+    pairs = [Relation("distance", (f"t{i}", f"t{(i + 1) % n}"), 1.0, 1e-4) for i in range(n)]
+    with pytest.raises(JobError, match=r"^relations: there are 51 targets that relations join; allowed are 50\.$"):
+        identify(error_model(robot, offsets="all", known=Known(relations=pairs)), data)
+    many = pairs[:1] * (COUNTS["relations"] + 1)
+    with pytest.raises(JobError, match=r"^relations: there are 301 relations; allowed are 300\.$"):
+        identify(error_model(robot, offsets="all", known=Known(relations=many)), data)
+
+
+def test_points_that_are_seen_have_any_names() -> None:
+    robot = load_robot(parse_urdf(hostile_files._chain(2).encode(), "arm.urdf"))
+    n = MOST_TARGETS + 1
+    table = {f"j{k} [rad]": np.ones(n) for k in range(2)} | {f"{a} [m]": np.ones(n) for a in "xyz"}
+    assert len(read_measurements(table | {"target": [f"t{i}" for i in range(n)]}, robot, sigma=1e-5)) == n
 
 
 def test_set_ups_and_tools_end_together() -> None:
@@ -103,7 +126,7 @@ def test_set_ups_and_tools_end_together() -> None:
     table |= {f"{a} [m]": chance.normal(size=180) for a in "xyz"}
     table |= {"setup": [f"s{k % 60}" for k in range(180)], "tool": [f"t{k % 45}" for k in range(180)]}
     data = read_measurements(table, robot, sigma=1e-5)
-    with pytest.raises(MeasurementError, match=r"^the measurements have 60 set-ups and 45 tools; allowed are 101 tog"):
+    with pytest.raises(MeasurementError, match=r"^the measurements have 60 set-ups and 45 tools; allowed are 81 tog"):
         identify(error_model(robot, offsets="all"), data)
 
 

@@ -60,6 +60,29 @@ def test_a_probe_that_points_at_the_ball_is_found(tmp_path: Path, seed: int, str
     assert np.sqrt(np.mean(fit.residuals[0] ** 2)) < 1.3 * SIGMA
 
 
+def test_a_probe_is_found_by_the_ball_about_which_it_turned_among_many(tmp_path: Path) -> None:
+    """Of many balls those tell the side about which the tip turned most, wherever they stand in the table."""
+    robot, data = _touches(tmp_path, 2, 0.3, half=False)
+    rng = np.random.default_rng(7)
+    flanges, balls = [], []
+    for k in range(12):
+        away = rng.normal(size=(5, 3))
+        away /= np.linalg.norm(away, axis=1)[:, None]
+        turn = Rotation.from_euler("ZYX", rng.uniform(-0.5, 0.5, 3))
+        angles = np.tile(turn.as_euler("ZYX"), (5, 1))
+        flanges.append(np.column_stack([BALL + 0.05 * k + RADIUS * away - turn.apply(PROBE), angles]))
+        balls += [f"other {k}"] * 5
+    values = np.concatenate([*flanges, data.readings])
+    columns: dict[str, object] = {
+        f"{reading.name} [{'m' if reading.dimension == 'length' else 'rad'}]": values[:, k]
+        for k, reading in enumerate(robot.readings)
+    }
+    columns |= {"diameter [m]": np.full(len(values), 2.0 * RADIUS), "target": [*balls, *["ball"] * len(data)]}
+    every = calib.read_measurements(columns, robot, "sphere", sigma=SIGMA)
+    problem = initial_problem(calib.error_model(robot, base="fixed", tool="position"), (every,))
+    np.testing.assert_allclose(problem.reference.tools[0, :3, 3], PROBE, atol=2e-4)
+
+
 def test_a_probe_on_the_wrong_side_is_put_where_its_touches_put_it(tmp_path: Path) -> None:
     """A search may have gone there by a robot that was off; one that is where it should be stays."""
     robot, data = _touches(tmp_path, 1, 0.3, half=False)

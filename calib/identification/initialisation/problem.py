@@ -8,7 +8,15 @@ import numpy as np
 
 from calib.foundations.arrays import BoolArray, IntArray, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.ranges import MOST_FRAMES, MOST_SETUPS, MOST_TARGETS, MOST_TOOLS
+from calib.foundations.ranges import (
+    MOST_FRAMES,
+    MOST_MARKS,
+    MOST_RELATED,
+    MOST_RELATIONS,
+    MOST_SETUPS,
+    MOST_TARGETS,
+    MOST_TOOLS,
+)
 from calib.foundations.words import counted
 from calib.identification import targets
 from calib.identification.error_model import ErrorModel
@@ -98,11 +106,13 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
     setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
     every = tuple(dict.fromkeys(target for data in sets for target in data.targets))
+    touched = {target for data in sets if data.kind != "pixels" for target in data.seen_targets}
     scalars = tuple(dict.fromkeys(scalar for data in sets for scalar in data.scalars))
     for found, what, most in (
         (tools, "tools", MOST_TOOLS),
         (setups, "set-ups", MOST_SETUPS),
-        (every, "targets", MOST_TARGETS),
+        (touched, "touched targets", MOST_TARGETS),
+        (every, "targets", MOST_MARKS),
     ):
         if len(found) > most:
             raise MeasurementError(f"the measurements have {len(found)} {what} together; allowed are {most}.")
@@ -345,6 +355,13 @@ def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> 
             raise JobError(f"targets: {name!r} does not appear in the measurements, which have {there}.")
         if found[name] == "frame" and not model.targets[name].height_is_known:
             raise JobError(f"targets: {name!r} is a board or camera: give its position and quaternion, not a normal.")
+    related = {name for relation in model.relations for name in relation.targets}
+    for count, what, most in (
+        (len(model.relations), "relations", MOST_RELATIONS),
+        (len(related), "targets that relations join", MOST_RELATED),
+    ):
+        if count > most:
+            raise JobError(f"relations: there are {count} {what}; allowed are {most}.")
     for relation in model.relations:
         shape = "point" if relation.kind == "distance" else "plane"
         a, b = (sets[0].target_links.get(name, "the floor") for name in relation.targets)

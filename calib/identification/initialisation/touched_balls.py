@@ -19,8 +19,8 @@ from calib.measurement.measurements import Measurements, numbered
 # Another place fits clearly better with a sum of squares below this share.
 _CLEARLY = 0.5
 _STEPS, _NO_STEP = 30, 1e-7
-# More touches of a ball do not tell its side better.
-_ENOUGH = 100
+# More touches of a ball, and more balls, do not tell the side better.
+_ENOUGH, _ENOUGH_BALLS = 100, 10
 # Directions to all sides: to the faces, edges and corners of a cube.
 _SIDES = read_only(np.array([np.array(d) / np.linalg.norm(d) for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]))
 
@@ -32,6 +32,12 @@ class _Touches(NamedTuple):
     tips: Array
     radius: Array
     known: Array | None
+
+    @property
+    def turned(self) -> float:
+        """By how much the tip turned between the touches, which is what tells the point: a sum of squares."""
+        R = self.tips[:, :3, :3]
+        return float(np.sum((R - R.mean(axis=0)) ** 2))
 
     def seen(self, point: Array) -> Array:
         """Return where touches (n, 3) are with the tool at ``point``."""
@@ -76,7 +82,7 @@ def _balls(data: Measurements, tips: Array, known: Sequence[Array | None], tool:
     for _, own in numbered(both):
         some = rows[own[evenly(len(own), _ENOUGH)]]
         found.append(_Touches(data.subset(some), tips[some], data.value[some, 0], known[some[0]]))
-    return found
+    return sorted(found, key=lambda ball: -ball.turned)[:_ENOUGH_BALLS]
 
 
 def _best(balls: Sequence[_Touches], start: Array) -> Array:
@@ -91,17 +97,21 @@ def _best(balls: Sequence[_Touches], start: Array) -> Array:
 
 def _sought(balls: Sequence[_Touches], start: Array, *, held: bool = False) -> _End:
     """Return the point (3,) to which a search leads that begins at a start, or stays there where it is ``held``."""
-    unknown = [g for g, ball in enumerate(balls) if ball.known is None]
-    at = {g: 3 + 3 * k for k, g in enumerate(unknown)}
-    x = np.concatenate([start, *(centre([(b.data, b.seen(start), b.data.value)]) for b in balls if b.known is None)])
+    middles = [
+        centre([(b.data, b.seen(start), b.data.value)]) if b.known is None else np.asarray(b.known) for b in balls
+    ]
+    x = np.concatenate([start, *middles])
+    free = np.repeat([not held, *(b.known is None for b in balls)], 3)
+    tips, radius = (np.concatenate(parts) for parts in zip(*((b.tips, b.radius) for b in balls), strict=True))
+    ball = np.repeat(np.arange(len(balls)), [len(b.radius) for b in balls])
     damping = 1e-3
-    r, J = _missed(balls, x, at)
+    r, J = _missed(tips, radius, ball, x)
     for _ in range(_STEPS):
-        if held:
-            J[:, :3] = 0.0
-        A = J.T @ J
-        step = -np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-9), J.T @ r)
-        there = _missed(balls, x + step, at)
+        own = J[:, free]
+        A = own.T @ own
+        step = np.zeros(len(x))
+        step[free] = -np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-9), own.T @ r)
+        there = _missed(tips, radius, ball, x + step)
         if there[0] @ there[0] < r @ r:
             x, (r, J), damping = x + step, there, max(0.1 * damping, 1e-9)
         else:
@@ -111,18 +121,12 @@ def _sought(balls: Sequence[_Touches], start: Array, *, held: bool = False) -> _
     return _End(x[:3], float(r @ r))
 
 
-def _missed(balls: Sequence[_Touches], x: Array, at: dict[int, int]) -> tuple[Array, Array]:
-    """Return by how much touches miss their balls (n,), and the derivatives (n, p) by x (p,): point, then middles."""
-    values, rows = [], []
-    for g, ball in enumerate(balls):
-        middle = ball.known if ball.known is not None else x[at[g] : at[g] + 3]
-        off = ball.seen(x[:3]) - middle
-        far = np.maximum(np.linalg.norm(off, axis=1), 1e-9)
-        n = off / far[:, None]
-        J = np.zeros((len(off), len(x)))
-        J[:, :3] = np.einsum("ni,nij->nj", n, ball.tips[:, :3, :3])
-        if ball.known is None:
-            J[:, at[g] : at[g] + 3] = -n
-        values.append(far - ball.radius)
-        rows.append(J)
-    return np.concatenate(values), np.concatenate(rows)
+def _missed(tips: Array, radius: Array, ball: IntArray, x: Array) -> tuple[Array, Array]:
+    """Return by how much touches (n,) miss their balls, and the derivatives (n, p) by x (p,): point, then middles."""
+    off = tips[:, :3, :3] @ x[:3] + tips[:, :3, 3] - x[3:].reshape(-1, 3)[ball]
+    far = np.maximum(np.linalg.norm(off, axis=1), 1e-9)
+    n = off / far[:, None]
+    J = np.zeros((len(off), len(x)))
+    J[:, :3] = np.einsum("ni,nij->nj", n, tips[:, :3, :3])
+    np.put_along_axis(J, 3 + 3 * ball[:, None] + np.arange(3), -n, axis=1)
+    return far - radius, J
