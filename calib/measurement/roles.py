@@ -31,6 +31,8 @@ _NO_POSITION = _words(
     "velocity vel speed v qd dq torque tau effort current i acc acceleration force f temp temperature std sigma unc "
     "uncertainty u dev deviation error err normal n delta d tilt var variance gyro accel"
 )
+# What as many numbers of an orientation are.
+_SIZES: dict[int, Literal["angles", "quaternion", "matrix"]] = {3: "angles", 4: "quaternion", 9: "matrix"}
 _TURNS = _words("r rot rotation phi theta euler ang angle angles orientation ori rv rvec rotvec w o")
 _QUATERNION = frozenset(("q", "quat", "quaternion"))
 _POSE = frozenset(("pose", "tcp", "cartesian", "cart"))
@@ -393,9 +395,13 @@ class Unnamed(NamedTuple):
     target: int | None = None
 
 
-def without_names(table: RawTable, count: int) -> list[Unnamed]:
-    """Return the ways in which joints, a point and an orientation, or what was touched, may stand in a row."""
-    columns = [k for k, column in enumerate(table.columns) if column.numbers is not None]
+def without_names(table: RawTable, count: int, joints: Sequence[int] = (), point: Sequence[int] = ()) -> list[Unnamed]:
+    """Return the ways in which joints, a point and an orientation, or what was touched, may stand in a row.
+
+    ``joints``, ``point``: the columns of all joints, and of x, y and z, where a person named them.
+    """
+    numeric = [k for k, column in enumerate(table.columns) if column.numbers is not None]
+    columns = [k for k in numeric if k not in {*joints, *point}]
     first = table.columns[columns[0]].numbers if columns else None
     skips = [0]
     if first is not None and len(first) > 1 and bool(np.all(np.diff(first) > 0.0)):
@@ -407,26 +413,41 @@ def without_names(table: RawTable, count: int) -> list[Unnamed]:
         whole = column.numbers is None or bool(np.all(column.numbers == np.round(column.numbers)))
         return whole and 2 * len(set(column.words)) <= len(column.words)
 
-    found = []
-    for skip in skips:
-        own = columns[skip:]
+    shared: list[tuple[Joints, list[int]]] = []
+    for own in (columns[skip:] for skip in skips):
+        if joints:
+            shared.append((Joints(tuple(joints), 0, "as answered", True), own))
+            continue
         rest = len(own) - count
-        for ahead in (True, False):
-            joints = Joints(tuple(own[:count] if ahead else own[rest:]), 1, "by their place", False)
-            other = own[count:] if ahead else own[:rest]
-            if rest == 0 and ahead:
-                found += [Unnamed(joints, target=k) for k in (None, *filter(names_again, _texts(table)))]
-            elif rest == 1 and names_again(other[0]):
-                found.append(Unnamed(joints, target=other[0]))
-            elif rest in (3, 6, 7):
-                form: Literal["angles", "quaternion"] = "angles" if rest == 6 else "quaternion"
-                turned = (Orientation(tuple(other[3:]), form, None, frozenset()),) if rest > 3 else ()
-                found.append(Unnamed(joints, _point(*other[:3]), turned))
-            elif rest in (12, 16):
-                nine = tuple(other[4 * i + j] for i in range(3) for j in range(3))
-                if _turns(table, nine):
-                    matrix = Orientation(nine, "matrix", "matrix", frozenset())
-                    found.append(Unnamed(joints, _point(other[3], other[7], other[11]), (matrix,)))
+        if rest >= 0:
+            shared.append((Joints(tuple(own[:count]), 1, "by their place", False), own[count:]))
+        if rest > 0:
+            shared.append((Joints(tuple(own[rest:]), 1, "by their place", False), own[:rest]))
+    found = []
+    for those, other in shared:
+        if point:
+            behind = [k for k in other if k > max(point)]
+            turned = [
+                Orientation(tuple(behind[:size]), form, "matrix" if form == "matrix" else None, frozenset())
+                for size, form in _SIZES.items()
+                if len(behind) >= size
+            ]
+            found.append(Unnamed(those, _point(point[0], point[1], point[2]), tuple(turned)))
+        elif not other:
+            found += [Unnamed(those, target=k) for k in (None, *filter(names_again, _texts(table)))]
+        elif len(other) == 1 and names_again(other[0]):
+            found.append(Unnamed(those, target=other[0]))
+        elif len(other) in (3, 6, 7):
+            form = _SIZES.get(len(other) - 3)
+            own_turn = (Orientation(tuple(other[3:]), form, None, frozenset()),) if form is not None else ()
+            found.append(Unnamed(those, _point(*other[:3]), own_turn))
+        elif len(other) in (12, 16):
+            nine = tuple(other[4 * i + j] for i in range(3) for j in range(3))
+            if _turns(table, nine):
+                matrix = Orientation(nine, "matrix", "matrix", frozenset())
+                found.append(Unnamed(those, _point(other[3], other[7], other[11]), (matrix,)))
+    if joints and not found:
+        found = [Unnamed(shared[0][0])]
     return found
 
 

@@ -4,12 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calib
 from calib.job.chains import chains
 from calib.robot.load import load_robot
 from calib.robot.urdf import read_urdf
-from tests.proposal.twins import PANDA, TWINS, URDF_OF, XYZ, Expected, Twin, numbered, session, text
+from tests.proposal.twins import PANDA, TWINS, UR, UR10, URDF_OF, XYZ, Expected, Twin, numbered, session, text
 
 
 @pytest.mark.parametrize("twin", TWINS, ids=lambda twin: twin.name)
@@ -46,6 +47,50 @@ def test_an_arm_has_the_readings_that_move_it_also_behind_fingers_that_follow_ot
     for arm in arms:
         robot = load_robot(document, arm.tip, arm.base)
         assert tuple(reading.name for reading in robot.readings) == arm.joints
+
+
+def test_columns_without_names_are_taken_as_answered(tmp_path: Path) -> None:
+    """As a tracker's points of three reflectors and what a controller logs: no place in the row says what is what."""
+    seen = session(UR10, "tool0")
+    moved = np.einsum("nij,kj->nki", seen.rotation, [[0.0, 0.1, 0.0], [0.1, 0.0, 0.05]]).reshape(-1, 6)
+    points = 1e3 * (np.hstack([seen.position, seen.position, seen.position]) + np.hstack([np.zeros((40, 3)), moved]))
+    zeros = np.zeros((40, 6))
+    file = tmp_path / "table.csv"
+    file.write_text(text(None, [points, zeros, np.degrees(seen.readings)]))
+    with pytest.raises(calib.MeasurementError, match=r"if some are, say which: --column 'shoulder_pan_joint \[deg\]"):
+        calib.measuring.propose(URDF_OF["UR10"], [file])
+    joints = {f"{name} [deg]": f"column {k}" for k, name in enumerate(UR, 16)}
+    (asked,) = calib.measuring.propose(URDF_OF["UR10"], [file], columns=joints).questions
+    assert asked.about == "observes"
+    point = dict(zip("xyz", numbered("column {}", 4, 3), strict=True))
+    found = calib.measuring.propose(URDF_OF["UR10"], [file], columns=joints | point)
+    assert not found.questions, found.questions
+    check(found, Expected(numbered("column {}", 16), "deg", numbered("column {}", 4, 3)))
+
+
+def test_an_orientation_is_found_behind_a_point_that_was_answered(tmp_path: Path) -> None:
+    """Nominal poses before the measured ones, and how far both are apart."""
+    seen = session(UR10, "tool0")
+    turned = np.degrees(Rotation.from_matrix(seen.rotation).as_euler("xyz"))
+    pose = np.hstack([1e3 * seen.position, turned])
+    file = tmp_path / "table.csv"
+    nominal, apart = np.round(pose, 0), np.random.default_rng(0).uniform(0.0, 0.1, (40, 2))
+    file.write_text(text(None, [["j"] * 40, np.degrees(seen.readings), nominal, pose, apart]))
+    answers = {f"{name} [deg]": f"column {k}" for k, name in enumerate(UR, 2)}
+    answers |= dict(zip("xyz", numbered("column {}", 14, 3), strict=True))
+    found = calib.measuring.propose(URDF_OF["UR10"], [file], columns=answers)
+    assert not found.questions, found.questions
+    check(
+        found,
+        Expected(
+            numbered("column {}", 2),
+            "deg",
+            numbered("column {}", 14, 3),
+            orientation=numbered("column {}", 17, 3),
+            convention="xyz",
+            observes="pose",
+        ),
+    )
 
 
 def test_a_column_beside_the_numbered_joints_is_not_taken_for_the_fingers(tmp_path: Path) -> None:

@@ -33,7 +33,8 @@ def picks_of(seen: Seen) -> list[Pick]:
     if not seen.raw.named:
         found = []
         for arm in _arms_of(seen, range(len(seen.raw.columns) + 1)):
-            found += [Pick(arm, *way) for way in roles.without_names(seen.raw, len(arm.joints))]
+            given = _answered(seen, arm.joints), _answered(seen, "xyz")
+            found += [Pick(arm, *way) for way in roles.without_names(seen.raw, len(arm.joints), *given)]
         return _as_answered(seen, found)
     picks = []
     for arm, joints in _joints(seen):
@@ -43,10 +44,15 @@ def picks_of(seen: Seen) -> list[Pick]:
     return _as_answered(seen, picks)
 
 
+def _answered(seen: Seen, names: Sequence[str]) -> tuple[int, ...]:
+    """Return the columns that a person named; none if not all of them."""
+    titles = [seen.named.get(name) for name in names]
+    return () if None in titles else tuple(seen.column(title) for title in titles if title is not None)
+
+
 def _points(seen: Seen) -> list[roles.Point]:
-    if all(axis in seen.named for axis in "xyz"):
-        x, y, z = (seen.column(seen.named[axis]) for axis in "xyz")
-        return [roles.Point((x, y, z), frozenset(), 1)]
+    if given := _answered(seen, "xyz"):
+        return [roles.Point((given[0], given[1], given[2]), frozenset(), 1)]
     return list(seen.known.points)
 
 
@@ -75,10 +81,9 @@ def _joints(seen: Seen) -> list[tuple[Chain, roles.Joints]]:
     for arm in seen.arms:
         if not _is_room_for(arm, [other for other, _ in named]):
             break
-        given = [seen.named.get(name) for name in arm.joints]
-        if all(given) and (arm is seen.arms[0] or seen.answers.tip is not None):
-            columns = tuple(seen.column(title) for title in given if title is not None)
-            named.append((arm, roles.Joints(columns, 0, "as answered", True)))
+        given = _answered(seen, arm.joints)
+        if given and (arm is seen.arms[0] or seen.answers.tip is not None):
+            named.append((arm, roles.Joints(given, 0, "as answered", True)))
             continue
         for first in range(len(arm.joints)):
             part = arm.joints[first:]
@@ -184,8 +189,10 @@ def no_joints(seen: Seen) -> Exception:
             (),
             f"--column '{longest[0]} [deg]=TITLE' and so on, or --tip LINK",
         )
+    numbers = sum(column.numbers is not None for column in seen.raw.columns)
+    way = f"; if some are, say which: --column '{longest[0]} [deg]=TITLE', and so on" if numbers >= len(longest) else ""
     return MeasurementError(
-        f"{seen.raw.where}: no column is a joint of the arm ({run_of(longest)}); the columns are {there}."
+        f"{seen.raw.where}: no column is a joint of the arm ({run_of(longest)}); the columns are {there}{way}."
     )
 
 
