@@ -63,6 +63,21 @@ def test_rows_before_the_first_motion_are_told_once(tmp_path: Path) -> None:
     ]
 
 
+def test_what_a_joint_does_is_told_of_the_whole_table(tmp_path: Path) -> None:
+    """A joint that moves in the rows to identify from, and stands still in the few that are held out."""
+    job = holding_out(tmp_path)
+    table = tmp_path / TABLE
+    away = set(load(job).validate[0].lines.tolist())
+    lines = table.read_text(encoding="utf-8").splitlines()
+    for line in away:
+        cells = lines[line - 1].split(",")
+        lines[line - 1] = ",".join([*cells[:5], "0.1", *cells[6:]])
+    table.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    inputs = load(job)
+    assert np.ptp(inputs.validate[0].readings[:, 5]) == 0.0 < np.ptp(inputs.identify[0].readings[:, 5])
+    assert "joint-at-rest" not in [finding.code for finding in inputs.findings]
+
+
 @pytest.mark.parametrize("share", ["0.0", "1.0", "2", "-0.5", '"0.25"', "true"])
 def test_a_share_that_is_none_is_refused(share: str, tmp_path: Path) -> None:
     said = run("check", holding_out(tmp_path, share))
