@@ -120,19 +120,24 @@ def _at_two_places(here: Array, ends: Array, residual: Array, sigma: Array) -> b
 
     middle = ends.mean(axis=0)
     normal = np.asarray(svd(triangle(ends - middle))[2][-1], dtype=np.float64)
-    there = _least(look, here - 2.0 * ((here - middle) @ normal) * normal, lambda place, step: place + step)
-    return _explains_as_well(look, here, there, there - here)
+    other = here - 2.0 * ((here - middle) @ normal) * normal
+    near, there = (_least(look, place, lambda place, step: place + step) for place in (here, other))
+    return _explains_as_well(look, near, there, there - near)
 
 
 def _turned_alike(target: Photographed) -> bool:
     """Return whether a frame explains its photographs as well turned the other way."""
-    there = _least(target.look, target.there, _twisted)
-    apart = rigid.inverse(target.here) @ there
-    return _explains_as_well(target.look, target.here, there, np.append(apart[:3, 3], rigid.log3(apart[:3, :3])))
+    near, there = (_least(target.look, pose, _twisted) for pose in (target.here, target.there))
+    apart = rigid.inverse(near) @ there
+    return _explains_as_well(target.look, near, there, np.append(apart[:3, 3], rigid.log3(apart[:3, :3])))
 
 
 def _least(look: _Look, place: Array, moved: Callable[[Array, Array], Array]) -> Array:
-    """Return the place with the least squares to which Gauss-Newton steps lead."""
+    """Return the place with the least squares to which Gauss-Newton steps lead.
+
+    From where the fit has it, they lead elsewhere if the fit weighs rows otherwise: by how those of a photograph err
+    together, or by where a base was expected.
+    """
     r, J = look(place)
     for _ in range(_STEPS):
         step = np.asarray(np.linalg.lstsq(J, -r, rcond=None)[0], dtype=np.float64)

@@ -116,6 +116,21 @@ def test_a_small_board_in_one_photograph_may_be_tilted_to_either_side(
     assert mirrored or max(off) < 0.02
 
 
+@pytest.mark.parametrize("camera_on", ["tip", "floor"])
+def test_a_board_is_at_one_place_where_marks_of_a_photograph_err_together(camera_on: str) -> None:
+    """The fit weighs them by how they do; by the marks alone, the one place was farther off than is told of it."""
+    rng = np.random.default_rng(2)
+    robot, arm = machines.load(*UR5), machines.arm(*UR5)
+    true = cameras.scene(rng, arm, camera_on, sigma=0.02)
+    off = np.array([machines.pose(*(rng.normal(scale=s, size=3) for s in (5e-4, 1e-3))) for _ in range(14)])
+    data = true.measure(robot, true.draw(rng, 14), rng, 0.02, off)
+    fit = calib.identify(calib.error_model(robot, tool="pose", base="fixed"), [data])
+    assert fit.together[0] is not None
+    assert not fit.mirrored.any()
+    apart = np.linalg.inv(fit.machine.frames.targets[0]) @ true.target
+    assert np.linalg.norm(apart[:3, 3]) < 2e-3
+
+
 @pytest.mark.parametrize(("size", "mirrored"), [(0.03, True), (0.1, False)])
 def test_a_set_up_that_one_photograph_of_a_small_board_tells_is_not_trusted(size: float, mirrored: bool) -> None:
     """Its base may be metres off, and tools there were stated to be known to a centimetre."""
