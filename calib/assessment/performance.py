@@ -92,6 +92,8 @@ def volumetric_lengths(measured: Array, known: Array) -> Figures:
     D = measured - known
     two_s = 2.0 * np.sqrt(np.mean(D**2))
     values = {"largest": D[np.argmax(np.abs(D))], "range": np.ptp(D), "2s": two_s}
+    if len(D) < 2:
+        del values["range"]  # it would be zero, whatever the arm
     return _figures("volumetric length", "all", len(D), values)
 
 
@@ -106,9 +108,11 @@ def probing(points: Array, diameter: float, ball: float, place: str = "sphere") 
     from the same touches (ISO 10360-5:2020, clause 6). A touching ball stays half its diameter away, hence ``ball``.
     The standard asks for 25 touches in each of two places; of these the worse one counts (Kreon).
 
-    Raises MeasurementError when the points do not determine a sphere.
+    Raises MeasurementError when the points do not determine a sphere, and for four, which always lie on one.
     """
     sphere = _sphere(points, place)
+    if len(points) < 5:
+        raise MeasurementError(f"sphere {place!r}: has four touches; the test takes five or more.")
     sizes = {"PSize": 2.0 * sphere.radius - ball - diameter, "PForm": np.ptp(sphere.distances(points))}
     n = len(points)
     return _figures("probing", place, n, {f"{name}.Sph.1x{n}": value for name, value in sizes.items()})
@@ -122,8 +126,10 @@ def articulated_location(points: Sequence[Array], place: str = "sphere") -> Figu
     centres. Assumed, since the standard's wording was not at hand: that sphere, as the name LDia says, and that every
     fit has its own diameter. So neither ball nor reference diameter enters.
 
-    Raises MeasurementError when the points of an articulation do not determine a sphere.
+    Raises MeasurementError when the points of an articulation do not determine a sphere, and for a single articulation.
     """
+    if len(points) < 2:
+        raise MeasurementError(f"sphere {place!r}: has one articulation; the test takes two or more.")
     centres = np.stack([_sphere(touched, place).centre for touched in points])
     diameter = 2.0 * smallest_enclosing_sphere(centres).radius
     n, touches = len(points), max(map(len, points))

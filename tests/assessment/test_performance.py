@@ -69,6 +69,11 @@ def test_volumetric_lengths_by_hand() -> None:
     # An error of scale shows: all lengths 1 mm too short have no range, and a 2s.
     short = values(volumetric_lengths(np.full(5, 0.299), np.full(5, 0.3)))
     assert short == {"largest": pytest.approx(-1e-3), "range": pytest.approx(0.0), "2s": pytest.approx(2e-3)}
+    # A single length has no range.
+    assert values(volumetric_lengths(np.array([0.3005]), np.array([0.3]))) == {
+        "largest": pytest.approx(5e-4),
+        "2s": pytest.approx(1e-3),
+    }
 
 
 def test_probing_by_hand() -> None:
@@ -166,9 +171,11 @@ def test_tables_that_are_no_test(robot: calib.Robot, columns: dict[str, Any], se
         (LENGTH | {"target": ["a"] * 4}, "pair '1' has the ends 'a'; a length has two"),
         (CONE | {"target": list("aaab")}, "cone 'b': has one touch"),
         (SPHERE | {"target": list("aaab")}, "sphere 'a': a sphere needs four points"),
+        (SPHERE, "sphere 'a': has four touches; the test takes five or more"),
+        (SPHERE | {"group": ["x"] * 4}, "sphere 'a': has one articulation; the test takes two or more"),
         (SPHERE | {"ball [mm]": [6.0, 6.0, 6.0, 7.0]}, "column 'ball' is 6 mm in line 0 and 7 mm in line 3"),
     ],
-    ids=["two lengths in a pair", "one end", "one touch", "three points", "two balls"],
+    ids=["two lengths", "one end", "one touch", "three points", "four points", "one articulation", "two balls"],
 )
 def test_tests_that_cannot_be_evaluated(robot: calib.Robot, columns: dict[str, Any], sentence: str) -> None:
     def tips(readings: Array, /, *, conditions: object) -> Array:
