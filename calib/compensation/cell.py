@@ -94,6 +94,11 @@ def calibrated_cell(
         first = parse_urdf(calibrated_urdf(geometry.robot, geometry.deviations), str(arm))
         base, root = geometry.robot.base, geometry.robot.root_in_base
         if within == "instrument":
+            if placed_in is None and carrier.placed is not None and carrier.placed.within == "arm":
+                raise JobError(
+                    f"{arm}: its base was found in the base of an arm that touched it, and that of {positioner} in an "
+                    "instrument's frame; the arm is named first, what it touched second."
+                )
             _within(carrier, str(arm), within)
             placement = rigid.inverse(geometry.base) @ placement
     if setup is not None and setup not in {*whole.bases, *(() if carrier is None else carrier.bases)}:

@@ -183,6 +183,21 @@ def test_whose_frame_it_is_is_known(results: Path, tmp_path: Path) -> None:
     assert "How sure its place is in the cell is not known." in said.out
 
 
+def test_arm_and_positioner_named_the_wrong_way_round(results: Path, tmp_path: Path) -> None:
+    seen = without(results, tmp_path / "seen")
+    text = (seen / "model.json").read_text(encoding="utf-8")
+    placed = '"placed": {"within": "instrument", "by_arm": null}'
+    (seen / "model.json").write_text(text.replace('"placed": null', placed, 1), encoding="utf-8")
+    out = tmp_path / "cell.urdf"
+    said = run("cell", results, seen, "-o", out)
+    assert (said.code, said.err) == (
+        1,
+        f"Error: {results}: its base was found in the base of an arm that touched it, and that of {seen} in an "
+        "instrument's frame; the arm is named first, what it touched second.\n",
+    )
+    assert not out.exists()
+
+
 def test_a_doubted_result_is_told(results: Path, tmp_path: Path) -> None:
     doubted = tmp_path / "doubted"
     shutil.copytree(results, doubted)
