@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.foundations.errors import JobError, naming, naming_rows
+from calib.foundations.words import counted
 from calib.identification.error_model import ErrorModel
 from calib.identification.identify import matching
 from calib.identification.initialisation.problem import initial_problem
@@ -21,8 +22,9 @@ from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.robot.joint_terms import weighed_at_zero
 from calib.robot.robot import Robot
 
-# Every level is a fit of its rows, and another of base and tool to judge it by.
-_MOST_ROWS_OF_LEVELS, _MOST_TIMES = 50_000, 5
+# Every level is a fit of its own rows, and another one of all rows, of base and tool, to judge it by. A table of few
+# rows takes as long as one of a hundred.
+_MOST_ROWS_OF_LEVELS, _MOST_TIMES, _FEWEST_OF_TABLE = 150_000, 20, 100
 
 
 def refuse_levels(
@@ -50,10 +52,13 @@ def refuse_levels(
                 kind = "nodes" if residual else "identify"
                 raise JobError(f'{path}: levels[{i}].measurements: {file!r} has not use = "{kind}"; with it: {known}.')
     rows = {section.file: len(data) for section, data in zip(_identified(job), chosen, strict=True)}
-    asked = sum(rows[file] for level in job.levels if not level.residual_model for file in level.measurements or rows)
+    own = [level.measurements or rows for level in job.levels if not level.residual_model]
+    asked = sum(max(rows[file], _FEWEST_OF_TABLE) for files_of in own for file in (*files_of, *rows))
     if asked > (most := max(_MOST_ROWS_OF_LEVELS, _MOST_TIMES * sum(rows.values()))):
         raise JobError(
-            f"{path}: levels: fit {asked} rows in all; allowed are {most}. Leave out levels, or rows of them."
+            f"{path}: levels: {counted(len(own), 'level')}, each with its judgement on {counted(len(rows), 'table')}, "
+            f"take {asked} rows in all, where a table counts as {_FEWEST_OF_TABLE} at least; allowed are {most}. "
+            "Leave out levels, or put tables together."
         )
     if not nodes and any(level.residual_model and level.residual_model.kind == "grid" for level in job.levels):
         raise JobError(f'{path}: levels: no measurements have use = "nodes", and a residual grid is made of these.')

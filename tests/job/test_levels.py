@@ -105,7 +105,24 @@ def test_levels_that_fit_the_rows_over_and_over_are_refused(tmp_path: Path, monk
     assert load(path).job.levels
     more = "".join(f'[[levels]]\nname = "more {k}"\nfree = ["*"]\n' for k in range(10))
     path.write_text(path.read_text().replace("[[levels]]", f"{more}[[levels]]", 1))
-    with pytest.raises(JobError, match=r"calibration.toml: levels: fit \d+ rows in all; allowed are \d+\. Leave out"):
+    said = r"calibration.toml: levels: 13 levels, .* on 3 tables, take \d+ rows in all, .* allowed are \d+\. Leave out"
+    with pytest.raises(JobError, match=said):
+        load(path)
+
+
+def test_levels_of_very_many_small_tables_are_refused(tmp_path: Path) -> None:
+    """Fifty levels of fifty tables of ten rows took 17 s, as all tables judge every level."""
+    for file in CASE.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    path, table = tmp_path / "calibration.toml", (CASE / "base_fit.csv").read_text()
+    text = path.read_text()
+    tables, levels = "", ""
+    for k in range(45):
+        (tmp_path / f"t{k}.csv").write_text(table)
+        tables += f'[[measurements]]\nfile = "t{k}.csv"\n'
+        levels += f'[[levels]]\nname = "{k}"\nfree = ["base.*"]\nmeasurements = ["t{k}.csv"]\n'
+    path.write_text(text.replace("[[levels]]", f"{levels}[[levels]]", 1) + tables)
+    with pytest.raises(JobError, match=r"on 48 tables, take \d+ rows in all, where a table counts as 100 at least;"):
         load(path)
 
 
