@@ -293,7 +293,8 @@ def _trials(
     # What one reading may have wrong is tried reading by reading, each time for the whole arm.
     readings = model.robot.readings if len(model.robot.readings) <= _MOST_TRIED else ()
     seen = _seen(sets)
-    table = (*_of_readings(readings, units=seen), *(_of_frames(model, chosen, camera_on) if seen else ()))
+    others = _of_frames(model, chosen, camera_on) if seen else _of_indicators(chosen)
+    table = (*_of_readings(readings, units=seen), *others)
     # A free base costs a search among all rotations, which few mistakes are worth: a linear fit screens them.
     # Of lengths the start shows no tool; one step does.
     screen = (_relaxed_miss if model.base == "pose" else _first_miss) if seen else _second_miss
@@ -433,6 +434,33 @@ def _of_frames(model: ErrorModel, sets: Sequence[Measurements], camera_on: Camer
     turned = any(data.orientation is not None for data in sets)
     yield from _COLUMNS if turned or model.base == "fixed" else ()
     yield from _ORIENTATIONS if turned else ()
+
+
+def _of_indicators(sets: Sequence[Measurements]) -> Iterator[Mistake]:
+    """Yield the sense in which indicators count: of all, and of each where there are several."""
+    dials = [data for data in sets if data.kind == "indicator"]
+    names = tuple(dict.fromkeys(data.targets[k] for data in dials for k in data.target))
+    other = "the other way: 'indicated' has the wrong sign, or the normal points away"
+    if names:
+        yield Mistake(
+            "indicator-sign",
+            f"{'indicators count' if len(names) > 1 else 'the indicator counts'} {other}",
+            _backward(names),
+        )
+    for name in names if 1 < len(names) <= _MOST_TRIED else ():
+        yield Mistake("indicator-sign", f"the indicator {shown(name)} counts {other}", _backward((name,)))
+
+
+def _backward(names: Sequence[str]) -> Mend:
+    """Count the values of these indicators the other way."""
+
+    def mend(data: Measurements) -> Measurements:
+        if data.kind != "indicator":
+            return data
+        own = np.array([name in names for name in data.targets])[data.target]
+        return replace(data, value=read_only(np.where(own[:, None], -data.value, data.value)))
+
+    return mend
 
 
 def _not_in_screening(

@@ -14,6 +14,7 @@ import calib
 from calib.foundations.errors import MeasurementError
 from calib.identification import sanity
 from calib.identification.sanity import signatures
+from calib.identification.targets import Target
 from calib.measurement.checks import Finding
 from scripts.examples import ur10_leica_job as job
 from tests.support import machines, touching
@@ -177,6 +178,26 @@ def test_mistakes_are_named_without_an_instrument(kind: str) -> None:
         assert f"it looks as if {names[k]!r} is read with the wrong sign:" in finding.sentence
     (finding,) = found(np.eye(6)[[0, 2, 1, 3, 4, 5]])
     assert f"the columns {names[1]!r} and {names[2]!r} are swapped" in finding.sentence
+
+
+def test_indicators_that_count_the_other_way() -> None:
+    """It was said that a joint is read from another zero, by 180 deg."""
+    lab = touching.lab(noise=3e-5)
+    first, second = lab.indicator(20), replace(lab.indicator(20), targets=("wall",))
+    frame = touching.axis_frame(touching.unit(touching.NORMALS["floor"]))
+    known = {name: Target(lab.machine.base @ frame, height_is_known=False) for name in ("floor", "wall")}
+    model = replace(machines.model(lab.robot), targets=known)
+    assert signatures(model, [first, second]) == ()
+
+    def said(*sets: calib.Measurements) -> str:
+        (finding,) = signatures(model, sets)
+        assert finding.severity == "error"
+        return finding.sentence
+
+    backward = [replace(data, value=-data.value) for data in (first, second)]
+    assert "it looks as if indicators count the other way: 'indicated' has the wrong sign, or" in said(*backward)
+    assert "it looks as if the indicator counts the other way:" in said(backward[0])
+    assert "it looks as if the indicator 'wall' counts the other way:" in said(first, backward[1])
 
 
 def test_joints_that_slide() -> None:
