@@ -295,7 +295,7 @@ def growth(largest: int, rounds: int, bare: Callable[[Array], None]) -> list[Lin
 
 
 def show(lines: list[Line], console: Console) -> None:
-    table = Table(title=f"UR10, {POSES} poses, every placement, zero, base and tool free")
+    table = Table(title=f"UR10, {POSES} poses, every placement, offset, base and tool free")
     for heading, justify in (("what", "left"), ("ms", "right"), ("value", "right"), ("limit", "right")):
         table.add_column(heading, justify=justify)
     for line in lines:
@@ -319,7 +319,7 @@ PAGE = """# What it costs
 
 Made by `python scripts/benchmarks/benchmark.py --markdown docs/benchmark.md`, one BLAS thread, on {machine}.
 
-A UR10 of which every placement is off by 0.5 mm and 1 mrad and every zero by 5 mrad; all of them, base and tool are
+A UR10 with placements that are off by 0.5 mm and 1 mrad, and joint offsets of 5 mrad; all of them, base and tool are
 identified from simulated positions or poses. Times are of the processor, ratios medians over rounds in which every work
 takes its turn.
 

@@ -120,10 +120,11 @@ HEADINGS = ("what", "number", "parameters", "evaluations", "processor s", "expon
 PAGE = (
     "Made by `python scripts/benchmarks/growth.py --markdown docs/growth.md`, one BLAS thread, on {machine}, which "
     "others used at the same time: so seconds are the processor's, of `calib.identify` alone.",
-    "One number grows at a time: {studies}. Of every arm all placements, zeros, base and tool are found from simulated "
-    "positions, in a process of its own. MiB added: the peak of the whole process less what it was with the data in "
-    "memory. The exponent is that of the power law through a row and the one before it: 0 is no growth, 1 growth in "
-    "proportion, 2 as the square; less than 10 MiB have none. Evaluations are those of residual and Jacobian.",
+    "One number grows at a time: {studies}. Of every arm all placements, offsets, base and tool are found from "
+    "simulated positions, in a process of its own. MiB added: the peak of the whole process less what it was with the "
+    "data in memory. The exponent is that of the power law through a row and the one before it: 0 is no growth, 1 "
+    "growth in proportion, 2 as the square; less than 10 MiB have none. Evaluations are those of residual and "
+    "Jacobian.",
     "So memory is not flat in rows: a million leave some numbers each, residuals among them, but no derivatives. "
     "Tables cost time each, however short. Targets are in [many targets](benchmark_targets.md), and whole commands in "
     "[many poses](benchmark_scale.md).",

@@ -258,7 +258,7 @@ PAGE = """# Many poses
 
 Made by `python scripts/benchmarks/scale.py --markdown docs/benchmark_scale.md`, one BLAS thread, on {machine}.
 
-A Panda of 7 joints, every placement, zero, base and tool free, each run in a process of its own. Memory is the peak of
+A Panda of 7 joints, all placements, offsets, base and tool free; each run in its own process. Memory is the peak of
 the whole process: libraries, data and all; before: with the data in memory and nothing identified. Residuals and
 Jacobians exist for a few hundred rows at a time and are reduced to a triangle by QR decompositions, so that what is
 added grows with the numbers measured, not with poses times parameters. The whole command also reads the table from
@@ -273,7 +273,7 @@ TARGETS = """# Many targets
 Made by `python scripts/benchmarks/scale.py --targets --markdown docs/benchmark_targets.md`, one BLAS thread, on
 {machine}, which others used at the same time: so seconds are the processor's, of `calib.identify` alone.
 
-A Panda of 7 joints, every placement, zero and tool free, of which nothing but the lengths to anchors in unknown places
+A Panda of 7 joints, all placements, offsets and tool free. Nothing but the lengths to anchors in unknown places
 is measured, {lengths} to each: three unknowns an anchor, and all of them found. Every run is in a process of its own,
 and fails where residuals are not what the noise of the lengths explains. Targets are eliminated one by one
 ([theory](theory.md)), so that time and memory grow with their number: the last column is what one more target costs,
@@ -298,7 +298,7 @@ SET_UPS = """# Many set-ups and boards
 Made by `python scripts/benchmarks/scale.py --setups --markdown docs/benchmark_set_ups.md`, one BLAS thread, on
 {machine}, which others used at the same time: so seconds are the processor's, of `calib.identify` alone.
 
-A Panda of 7 joints, every placement, zero and tool free. It stands in many places, in each of which {positions}
+A Panda of 7 joints, all placements, offsets and tool free. It stands in many places, in each of which {positions}
 positions are measured; or a camera on its tip takes {photographs} photographs of each of many boards, of {marks} marks.
 Every set-up and board has six unknowns, and all of them are found. Every run is in a process of its own, and fails
 where residuals are not what the noise explains. What only some rows are about is eliminated block by block
@@ -366,7 +366,7 @@ def main() -> int:
         )
         return 0
     costs: list[Cost] = []
-    table = Table(title="Panda, every placement, zero, base and tool free")
+    table = Table(title="Panda, every placement, offset, base and tool free")
     for heading in HEADINGS:
         table.add_column(heading, justify="left" if heading == "what" else "right")
     of_poses = (("identify", "position"), ("identify", "pose"), ("command", "position"))

@@ -62,7 +62,7 @@ FEWEST, NORMAL = 20, 1.959964
 
 LEFT_OUT = {
     "white": "nothing",
-    "zeros": "nothing, of machines whose zeros alone are off, and alone are sought",
+    "zeros": "nothing, of machines whose joint offsets alone are off, and alone are sought",
     "harmonics_0.05": "joint harmonics of 0.05 mrad, two orders a joint",
     "harmonics_0.15": "joint harmonics of 0.15 mrad, two orders a joint",
     "wind_up": "wind-up under gravity, 1 to 5 urad/Nm",

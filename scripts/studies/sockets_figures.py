@@ -160,7 +160,7 @@ and every socket. Rows have a stated sigma of 0.5 mm per axis, and the distance 
 of 0.1 mm. Every figure is in mm, of places that took no part in the calibration: the mean distance of the predicted
 ball from the mean of its socket, averaged over sockets. A smaller arm would pass that test too. So "distance off"
 says by how much the predicted distance of the two sockets differs from 50 mm, on average. "Nominal" is the robot of
-the URDF with the ball fitted. "Asked" is the figure to reach.
+the URDF with the ball fitted. "Asked" is the error to be reached at most.
 
 "Wind-up" adds one compliance under gravity for each of the joints 2 to 6, with a prior of 0.1 mrad/Nm: the arm bends
 under its own weight, and by different amounts at different places.
