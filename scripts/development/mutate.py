@@ -79,7 +79,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "identification/observations/plane": (f"{OBSERVATIONS}::test_columns_match_central_differences",),
     "identification/observations/socket": (f"{OBSERVATIONS}::test_columns_match_central_differences",),
     "identification/observations/pixels": ("identification/test_pixels",),
-    "machine/uncertainty": ("machine/test_uncertainty",),
+    "machine/uncertainty": ("machine/test_uncertainty", "machine/test_own_noise"),
 }
 BINARY: dict[type[ast.operator], type[ast.operator]] = {
     ast.Add: ast.Sub,

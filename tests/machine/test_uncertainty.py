@@ -24,7 +24,7 @@ from calib.machine.tool_uncertainty import (
     tool_uncertainty,
     uncertainty_map,
 )
-from calib.machine.uncertainty import CAUSES
+from calib.machine.uncertainty import CAUSES, rms_by_cause
 from calib.machine.uncertainty_file import uncertainty_json
 from calib.robot.sampling import joint_limits
 from tests.support import machines
@@ -187,6 +187,11 @@ def test_errors_common_to_rows_are_those_of_single_rows() -> None:
 def test_bounds_of_regions() -> None:
     assert bound(0.95, 1, float("inf")) == pytest.approx(1.959964**2, rel=1e-6)
     assert bound(0.95, 3, 10.0) == pytest.approx(3 * 3.708265, rel=1e-6)  # F(0.95; 3, 10) of the tables
+
+
+def test_a_cause_is_told_by_its_rms_over_the_poses() -> None:
+    told = rms_by_cause({"instrument": np.array([[3.0, 0.0], [4.0, 2.0]])})
+    assert told == {"instrument": pytest.approx([np.sqrt(12.5), np.sqrt(2.0)])}
 
 
 def test_map_over_the_workspace_tells_how_far_it_is() -> None:
