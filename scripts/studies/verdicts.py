@@ -43,29 +43,38 @@ sessions the thresholds were set; in the bad ones something is wrong. The page i
 
 How the thresholds were chosen: what counts as sound was written down before it was judged, except for dense paths.
 Some of the first dense paths stayed in so narrow a region that the calibration improved little on held-out rows, and
-the verdict said that no improvement was shown. Paths now go several times through 0.7 rad in every joint. Three
-thresholds were changed after bad sessions had been judged: "redundancy" to less than half of the worst of the sound
-sessions, "explained" to what poor arms need, a twentieth of what random numbers leave, and "lengths" from 4 to 1.5 %,
-as an instrument whose scale was off by 2 % was trusted. Checks were made for sessions that had been trusted: "one
-machine" after the first ten later situations, and its search for three and four machines, "axes" and "resolution"
-after the ten that followed, "timing" after those of streams, and "drift" looks for joints, the tool and the arm's
-length since an arm that warmed up was trusted. The limits of size of "axes", of "resolution" and of the search for
-more machines were chosen by judgement; no sound session and no poor arm reaches them.
+the verdict said that no improvement was shown. Paths now go several times through 0.7 rad in every joint.
+
+Three thresholds were changed after bad sessions had been judged:
+
+* "redundancy", to less than half of the worst of the sound sessions;
+* "explained", to what poor arms need, a twentieth of what random numbers leave;
+* "lengths", from 4 to 1.5 %, because an instrument whose scale was off by 2 % was trusted.
+
+Checks were made for sessions that had been trusted:
+
+* "one machine", after the first ten later situations;
+* its search for three and four machines, "axes" and "resolution", after the ten that followed;
+* "timing", after those of streams;
+* "drift" of joints, of the tool and of the arm's length, after an arm that warmed up was trusted.
+
+The limits of size of "axes", of "resolution" and of the search for more machines were chosen by judgement; no sound
+session and no poor arm reaches them.
 
 A session may be trusted although something is wrong with it, if what is stated of it is right all the same. For every
-such session 200 new poses are drawn. Their true tool points are compared with the predicted ones, and the session
-counts as right where at least nine of ten are inside their stated 95 % regions. The truth is that of the arm as it is
+such session 200 new poses are drawn, and their true tool points are compared with the predicted ones. The session
+counts as right if at least nine of ten are inside their stated 95 % regions. The truth is that of the arm as it is
 used: with what leans or falls, warm, and in the first of two set-ups.
 """
 
 TAIL = """## What it cannot find
 
-An error that is the same in all rows, also in the held-out ones, shows in no row. Errors that come and go from row to
-row in many ways, or in few of the rows, look like a worse instrument or a worse arm, and so does a base that leans: a
-model that lacks something leaves residuals, and regions and errors of held-out rows are then as large as they really
-are. If no sigma is stated, the verdict cannot tell the difference. State the instrument's sigma. About forty
-positions are needed to split rows between machines. An arm that grows while it is measured is found where that moves
-the tool by more than the residuals scatter, and where the rows are in the order in which they were measured.
+An error that is the same in all rows, also in the held-out ones, shows in no row. Errors that vary from row to row in
+many ways, or that are in few rows, look like a worse instrument or a worse arm; so does a base that leans. They leave
+residuals, and the stated regions and the errors of held-out rows are then as large as they really are. Without a
+stated sigma the verdict cannot tell the difference: state the instrument's sigma. About forty positions are needed to
+split rows between machines. An arm that grows while it is measured is found if that moves the tool by more than the
+residuals scatter, and if the rows are in the order in which they were measured.
 """
 
 
