@@ -145,8 +145,9 @@ MOST_SETUPS = COUNTS["setups"]
 MOST_TOOLS = COUNTS["tools"]
 # Of both together: rows that see all pairs of many have nothing in common by which they could be reduced.
 MOST_FRAMES = 81
-# Of targets that are touched, and of marks in photographs, which take less.
-MOST_TARGETS, MOST_MARKS = 500, 20_000
+MOST_TARGETS = 20_000
+# Of a job's targets those that are touched: what is said of each takes longer than the fit.
+MOST_TOUCHED = 500
 # Of targets that relations join, which are not eliminated.
 MOST_RELATED, MOST_RELATIONS = 50, COUNTS["relations"]
 # Joint terms of a machine: all harmonics of 200 joints in 20 orders.

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from calib.foundations.errors import JobError, naming, naming_rows
+from calib.foundations.ranges import MOST_TARGETS, MOST_TOUCHED
 from calib.foundations.words import counted
 from calib.identification.error_model import ErrorModel
 from calib.identification.identify import matching
@@ -187,8 +188,15 @@ def weights_not_known(model: ErrorModel, sets: Sequence[Measurements]) -> Iterat
             )
 
 
-def refuse_wrong_shapes(job: Job, sets: Sequence[Measurements], path: Path) -> None:
-    """Refuse a plane that is said to be at a point, a point with a normal, and what was not measured at all."""
+def refuse_wrong_targets(job: Job, sets: Sequence[Measurements], path: Path) -> None:
+    """Refuse a plane that is said to be at a point, a point with a normal, what was not measured, and too many."""
+    # Marks in photographs take less.
+    touched = {target for data in sets if data.kind != "pixels" for target in data.seen_targets}
+    if len(touched) > MOST_TOUCHED:
+        raise JobError(
+            f"{path}: measurements: the tables have {len(touched)} targets that are touched; allowed in a job are "
+            f"{MOST_TOUCHED}. Leave rows out, or call calib.identify from Python, which takes {MOST_TARGETS}."
+        )
     found = shapes(sets)
     listed = ", ".join(found) or "no targets"
     for name, target in job.targets.items():

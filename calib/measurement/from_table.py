@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray, read_only, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
-from calib.foundations.ranges import MOST_MARKS, MOST_SETUPS, MOST_TARGETS, MOST_TOOLS, RANGES, refuse_beyond
+from calib.foundations.ranges import MOST_SETUPS, MOST_TARGETS, MOST_TOOLS, RANGES, refuse_beyond
 from calib.foundations.units import Dimension
 from calib.foundations.words import refuse_other
 from calib.measurement.boards import Board
@@ -136,7 +136,7 @@ def measurements_from_table(
     for names, column, most in (
         (tools, "tool", MOST_TOOLS),
         (setups, "setup", MOST_SETUPS),
-        (targets, "target", MOST_MARKS if kind == "pixels" else MOST_TARGETS),
+        (targets, "target", MOST_TARGETS),
     ):
         if len(names) > most:
             raise MeasurementError(f"{table.where}: column {column!r} has {len(names)} names; allowed are {most}.")

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from calib.foundations.ranges import COUNTS, MOST_RELATED, MOST_TARGETS
+from calib.foundations.ranges import COUNTS, MOST_RELATED, MOST_TOUCHED
 from calib.job.stated import load_arm
 from calib.machine.gaussian import GaussianResiduals, Kernel, gaussian_bytes
 from calib.robot.load import load_robot
@@ -619,8 +619,8 @@ def _unrelated(observes: str, rows: int, cells: str = "", columns: str = "", rel
 
     def write(folder: Path, size: int) -> None:
         robot = load_robot(folder / "arm_cmm.urdf", "probe")
-        header, table = _seen_by_tracker(robot, min(size // 60, MOST_TARGETS * rows))
-        targets = MOST_RELATED if relations else MOST_TARGETS
+        header, table = _seen_by_tracker(robot, min(size // 60, MOST_TOUCHED * rows))
+        targets = MOST_RELATED if relations else MOST_TOUCHED
         touched = [f"{','.join(f'{v:.3f}' for v in row[:-3])},t{k % targets}{cells}" for k, row in enumerate(table)]
         header = f"{header.rpartition(',x')[0]},target{columns}"
         (folder / "identification.csv").write_text("\n".join([header, *touched]) + "\n", encoding="utf-8")
@@ -1463,12 +1463,12 @@ HOSTILE: dict[str, Hostile] = {
     "groups": _rows(lambda k: f"g{k}", "group"),
     "pairs": _rows(lambda k: f"p{k // 2}", "pair"),
     "pair distances": _rows(lambda k: f"p{k // 2},1", "pair,length [m]", _observed("pair_distance")),
-    "sockets": _rows(lambda k: f"t{k // 3 % MOST_TARGETS}", "target", _observed("socket")),
+    "sockets": _rows(lambda k: f"t{k // 3 % MOST_TOUCHED}", "target", _observed("socket")),
     "one socket": _rows(lambda _: "t", "target", _observed("socket")),
-    "planes": _rows(lambda k: f"t{k // 4 % MOST_TARGETS},1", "target,ball [mm]", _observed("plane")),
+    "planes": _rows(lambda k: f"t{k // 4 % MOST_TOUCHED},1", "target,ball [mm]", _observed("plane")),
     "one plane": _rows(lambda _: "t,1", "target,ball [mm]", _observed("plane")),
     "spheres that are touched": _rows(
-        lambda k: f"t{k // 5 % MOST_TARGETS},1,30", "target,ball [mm],diameter [mm]", _observed("sphere")
+        lambda k: f"t{k // 5 % MOST_TOUCHED},1,30", "target,ball [mm],diameter [mm]", _observed("sphere")
     ),
     "one sphere": _rows(lambda _: "t,1,30", "target,ball [mm],diameter [mm]", _observed("sphere")),
     "unrelated sockets": _unrelated("socket", 3),
@@ -1476,8 +1476,8 @@ HOSTILE: dict[str, Hostile] = {
     "unrelated spheres": _unrelated("sphere", 5, ",6,25", ",ball [mm],diameter [mm]"),
     "unrelated distances": _unrelated("distance", 5, ",1", ",length [m]"),
     "relations that contradict": _unrelated("socket", 2, relations=COUNTS["relations"]),
-    "distances": _rows(lambda k: f"t{k // 4 % MOST_TARGETS},1", "target,length [m]", _observed("distance")),
-    "indicators": _rows(lambda k: f"t{k // 4 % MOST_TARGETS},1", "target,indicated [mm]", _observed("indicator")),
+    "distances": _rows(lambda k: f"t{k // 4 % MOST_TOUCHED},1", "target,length [m]", _observed("distance")),
+    "indicators": _rows(lambda k: f"t{k // 4 % MOST_TOUCHED},1", "target,indicated [mm]", _observed("indicator")),
     "held out groups": _rows(lambda k: f"g{k}", "group", (('sigma = "0.02 mm"', 'sigma = "0.02 mm"\nhold_out = 0.5'),)),
     "chosen terms": _rows(lambda _: "", "", (("[error_model]", '[error_model]\nterms = "auto"'),)),
     "models of many rows": Hostile(_rows(lambda _: "", "").write, _MODELS),

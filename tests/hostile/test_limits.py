@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.foundations.errors import CalibError, JobError, MeasurementError, RobotError
-from calib.foundations.ranges import COUNTS, MOST_NAMES, MOST_RELATED, MOST_TARGETS
+from calib.foundations.ranges import COUNTS, MOST_NAMES, MOST_RELATED, MOST_TARGETS, MOST_TOUCHED
 from calib.identification import sanity
 from calib.identification.error_model import Known, error_model
 from calib.identification.identify import identify
@@ -16,6 +16,7 @@ from calib.identification.relations import Relation
 from calib.job.chains import chains, whole_chains
 from calib.job.foreign import picks
 from calib.job.foreign.seen import Seen
+from calib.job.inputs import load
 from calib.job.propose import propose
 from calib.job.stated import load_arm
 from calib.measurement import roles
@@ -89,14 +90,22 @@ def test_unknowns_of_several_tables_end() -> None:
             "target": [f"t{k}-{i}" for i in range(n)],
         }
         if k == 2:
-            with pytest.raises(MeasurementError, match=r"column 'target' has 501 names; allowed are 500\.$"):
+            with pytest.raises(MeasurementError, match=r"column 'target' has 20001 names; allowed are 20000\.$"):
                 read_measurements(table, robot, "socket", sigma=1e-5)
             break
         sets.append(read_measurements(table, robot, "socket", sigma=1e-5))
-    with pytest.raises(
-        MeasurementError, match=r"the measurements have 502 touched targets together; allowed are 500\."
-    ):
+    with pytest.raises(MeasurementError, match=r"the measurements have 20002 targets together; allowed are 20000\."):
         identify(error_model(robot, offsets="all"), sets)
+
+
+def test_touched_targets_of_a_job_end(tmp_path: Path) -> None:
+    fill("unrelated sockets", tmp_path, 60 * (MOST_TOUCHED + 1))
+    path = tmp_path / "identification.csv"
+    header, *rows = path.read_text(encoding="utf-8").splitlines()
+    unique = [f"{row.rpartition(',')[0]},t{k}" for k, row in enumerate(rows)]
+    path.write_text("\n".join([header, *unique]) + "\n", encoding="utf-8")
+    with pytest.raises(JobError, match=r"the tables have 501 targets that are touched; allowed in a job are 500\. "):
+        load(tmp_path / "calibration.toml")
 
 
 def test_targets_that_relations_join_end() -> None:

@@ -10,7 +10,6 @@ from calib.foundations.arrays import BoolArray, IntArray, read_only_view
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.ranges import (
     MOST_FRAMES,
-    MOST_MARKS,
     MOST_RELATED,
     MOST_RELATIONS,
     MOST_SETUPS,
@@ -106,13 +105,11 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
     setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
     every = tuple(dict.fromkeys(target for data in sets for target in data.targets))
-    touched = {target for data in sets if data.kind != "pixels" for target in data.seen_targets}
     scalars = tuple(dict.fromkeys(scalar for data in sets for scalar in data.scalars))
     for found, what, most in (
         (tools, "tools", MOST_TOOLS),
         (setups, "set-ups", MOST_SETUPS),
-        (touched, "touched targets", MOST_TARGETS),
-        (every, "targets", MOST_MARKS),
+        (every, "targets", MOST_TARGETS),
     ):
         if len(found) > most:
             raise MeasurementError(f"the measurements have {len(found)} {what} together; allowed are {most}.")
