@@ -83,7 +83,7 @@ class Entry(NamedTuple):
 
 
 ENTRIES = (
-    Entry(OURS, "geometry", "all placements and zeros"),
+    Entry(OURS, "geometry", "all placements and joint offsets"),
     Entry(OURS, "terms", "with joint terms, the choice of them timed too", extra=True, simulated=False),
     Entry("robotkinecal", "default", "`solve()`"),
     Entry("robotkinecal", "two steps", "`solve(max_iterations=2)`, before its test of convergence"),
@@ -444,10 +444,10 @@ def preface(race: Race) -> str:
         )
     return (
         f"Every link of example-robot-data's UR10 is off by {1e3 * SPREAD_LENGTH:g} mm and {1e3 * SPREAD_ANGLE:g} mrad "
-        f"in each direction, every zero by {1e3 * SPREAD_ZERO:g} mrad (normal, seed 1), by forward kinematics of the "
-        f"script's own; base and tool point unknown. Noise {1e3 * NOISE:g} mm a direction, on the rows held out too: "
-        f"the truth itself misses them by {race.floor:.4f} mm. At the floor is who misses them by no more than "
-        f"{AT_THE_FLOOR:g} times that.\n"
+        f"in each direction, with joint offsets of {1e3 * SPREAD_ZERO:g} mrad (normal, seed 1), by forward kinematics "
+        f"of the script's own; base and tool point unknown. Noise {1e3 * NOISE:g} mm a direction, on the rows held "
+        f"out too: the truth itself misses them by {race.floor:.4f} mm. At the floor is who misses them by no more "
+        f"than {AT_THE_FLOOR:g} times that.\n"
     )
 
 

@@ -1,4 +1,4 @@
-"""calib in the race of scripts/benchmarks/benchmark_peers.py: all placements and zeros, or with chosen joint terms.
+"""calib in the race of scripts/benchmarks/benchmark_peers.py: all placements and offsets, or chosen joint terms, too.
 
 The guesses of base and tool are left unread: to find them is part of what is timed.
 """
