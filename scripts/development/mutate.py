@@ -45,7 +45,12 @@ OF_SYSTEMS = (
 # The tests of each module, quick ones first.
 ROOMS: dict[str, tuple[str, ...]] = {
     "foundations/rigid": ("foundations/test_rigid", "properties/test_rigid", "robot/test_deviation"),
-    "foundations/linear": ("identification/test_jacobian", "identification/test_noise"),
+    "foundations/linear": (
+        "foundations/test_linear",
+        "identification/test_elimination",
+        "identification/test_jacobian",
+        "identification/test_noise",
+    ),
     "robot/deviation": ("robot/test_deviation", "properties/test_arms"),
     "robot/skeleton": ("properties/test_arms", "robot/test_robot", "identification/test_jacobian", "robot/test_loops"),
     "robot/kinematics": ("properties/test_arms", "robot/test_gravity", "identification/test_jacobian"),
