@@ -103,6 +103,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     refusals.refuse_no_noise(job, sets, path)
     doubts += [
         *refusals.weights_not_known(model, sets),
+        *refusals.cameras_at_one_place(sets),
         *(finding for _, data in before for finding in unreached(data)),
         *meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf),
     ]

@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.foundations.errors import JobError, naming, naming_rows
 from calib.foundations.ranges import MOST_TARGETS, MOST_TOUCHED
-from calib.foundations.words import counted
+from calib.foundations.words import counted, listed
 from calib.identification.error_model import ErrorModel
 from calib.identification.identify import matching
 from calib.identification.initialisation.problem import initial_problem
@@ -188,6 +188,26 @@ def weights_not_known(model: ErrorModel, sets: Sequence[Measurements]) -> Iterat
             )
 
 
+def cameras_at_one_place(sets: Sequence[Measurements]) -> Iterator[Finding]:
+    """Yield targets, of cameras on the floor, and tools, of those on the tip, at which there are several cameras."""
+    at: dict[tuple[str, str], dict[str, str]] = {}
+    for data in sets:
+        if data.camera is not None:
+            is_tool = data.camera.camera_on == "tip"
+            what, names, own = ("tool", data.tools, data.tool) if is_tool else ("target", data.targets, data.target)
+            for k in np.unique(own):
+                at.setdefault((what, names[k]), {}).setdefault(data.camera.name, data.where)
+    for (what, name), cameras in at.items():
+        if len(cameras) > 1:
+            last, where = list(cameras.items())[-1]
+            key = f'tool = "{last}"' if what == "tool" else f'targets = {{ {name} = "{last}" }}'
+            yield Finding.warning(
+                "cameras-at-one-place",
+                f"cameras {listed(cameras)} are at one place, the {what} {name!r}: each camera is a {what} of its own; "
+                f"write {key} for {where}.",
+            )
+
+
 def refuse_wrong_targets(job: Job, sets: Sequence[Measurements], path: Path) -> None:
     """Refuse a plane that is said to be at a point, a point with a normal, what was not measured, and too many."""
     # Marks in photographs take less.
@@ -198,10 +218,10 @@ def refuse_wrong_targets(job: Job, sets: Sequence[Measurements], path: Path) -> 
             f"{MOST_TOUCHED}. Leave rows out, or call calib.identify from Python, which takes {MOST_TARGETS}."
         )
     found = shapes(sets)
-    listed = ", ".join(found) or "no targets"
+    there = ", ".join(found) or "no targets"
     for name, target in job.targets.items():
         if name not in found:
-            raise JobError(f"{path}: targets: {name!r} does not appear in the measurements, which have {listed}.")
+            raise JobError(f"{path}: targets: {name!r} does not appear in the measurements, which have {there}.")
         if not target.says_where:
             continue
         said = "point" if target.normal is None else "plane"

@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("cv2")
 
 from scripts.simulate import photographs as simulation
+from tests.support import cameras, machines
 from tests.support.cases import run, write_table
 
 Array = NDArray[np.float64]
@@ -206,3 +207,37 @@ def test_focal_lengths_in_another_unit_are_refused(fx: str, view: str, tmp_path:
     assert said.code == 1
     why = f"instruments.{next(iter(ON))}.fx: {fx} px would see {view} deg in images of 1280 px; allowed are 0.1 to 100 "
     assert why in " ".join(said.err.split())
+
+
+@pytest.mark.parametrize(
+    ("camera_on", "what", "answer"),
+    [("floor", "target", 'targets = { target = "right" }'), ("tip", "tool", 'tool = "right"')],
+)
+def test_two_cameras_at_one_place_are_told(camera_on: str, what: str, answer: str, tmp_path: Path) -> None:
+    """Jobs of one camera each, put together: all of it contradicts itself, and nothing said why."""
+    rng = np.random.default_rng(3)
+    arm = machines.arm("example:ur_description/urdf/ur5_robot.urdf", "tool0")
+    left = cameras.scene(rng, arm, camera_on)
+    aside = machines.pose((0.1, 0.0, 0.02), (0.0, 0.1, 0.0))
+    right = replace(left, **{what: getattr(left, what) @ aside})
+    readings = left.draw(rng, 60)
+    readings = readings[right.visible(readings)][:12]
+    text = "\n".join(line for line in JOB.splitlines() if "all" not in line).replace(
+        "[error_model.prior]", 'base = "fixed"'
+    )
+    text = "\n".join(line for line in text.splitlines() if "1 m" not in line)
+    for name, scene in (("left", left), ("right", right)):
+        write_table(tmp_path / f"{name}.csv", scene.columns(readings))
+        c = scene.camera
+        numbers = "".join(f'{key} = "{getattr(c, key)} px"\n' for key in ("fx", "fy", "cx", "cy"))
+        numbers += "".join(f"{key} = {getattr(c, key)}\n" for key in ("k1", "k2", "p1", "p2", "k3"))
+        text += f'\n[instruments.{name}]\nkind = "camera"\ncamera_on = "{camera_on}"\nsigma = "0.1 px"\n{numbers}'
+        text += f'[[measurements]]\nfile = "{name}.csv"\nobserves = "pixels"\ninstrument = "{name}"\n'
+    job = tmp_path / "job.toml"
+    job.write_text(text, encoding="utf-8")
+    said = run("check", job)
+    assert f"cameras 'left', 'right' are at one place, the {what} '{what}'" in " ".join(said.out.split())
+    assert f"write {answer} for" in " ".join(said.out.split())
+    job.write_text(f"{text}{answer}\n", encoding="utf-8")
+    again = run("check", job)
+    assert (again.code, "at one place" in again.out) == (0, False)
