@@ -4,6 +4,7 @@ A model is only proven where it was measured.
 """
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from calib.foundations.units import DISPLAY_OF
 from calib.machine.calibrated import CalibratedMachine, readings_of
 from calib.machine.turns import turned_towards
 from calib.measurement.measurements import End
-from calib.robot.conditions import NO_CONDITIONS, Conditions
+from calib.robot.conditions import NO_CONDITIONS, Conditions, ordinary
 from calib.robot.robot import Robot
 from calib.robot.terms import kind_of
 from calib.robot.terms.kind import TEMPERATURE
@@ -47,6 +48,20 @@ def _followed(robot: Robot, conditions: Conditions, rows: int) -> Iterator[tuple
         own = robot.moments(robot.load.payload)[:, 3].sum()
         told = np.full(rows, own) if conditions.payload is None else conditions.payload[:, :, 3].sum(axis=1)
         yield "payload", np.where(np.isnan(told), own, told)
+
+
+def usual_conditions(machine: CalibratedMachine, readings: Array) -> Conditions:
+    """Return the conditions of readings (N, nr) of which nothing is said: those at which the machine was measured.
+
+    Reached from neither side, no torque measured, and for long in the middle of the temperatures that were measured
+    where joint terms follow them: at the reference temperature these do nothing.
+    """
+    usual, known = ordinary(readings), machine.uncertainty
+    measured = None if known is None else known.conditions.get("temperature")
+    if measured is None:
+        return usual
+    warm = replace(usual, temperature=np.full(len(readings), np.mean(measured)))
+    return warm.in_time(np.zeros(len(readings)))
 
 
 @checked

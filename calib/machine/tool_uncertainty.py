@@ -19,6 +19,7 @@ from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.linear import one_thread, triangle
 from calib.machine.calibrated import CalibratedMachine, readings_of, refuse_unfollowed
 from calib.machine.grid import axes_of
+from calib.machine.identified import usual_conditions
 from calib.machine.residual_model import ResidualModel
 from calib.machine.tool_motion import jacobian_of
 from calib.machine.uncertainty import CAUSES, ToolUncertainty, Uncertainty, UncertaintyMap
@@ -350,7 +351,8 @@ def uncertainty_map(
 ) -> UncertaintyMap:
     """Return a map of the tool's standard deviations, over ``limits`` (nr, 2) or, when None, the joints' limits.
 
-    Joints without limits turn once. ``closure_determinant``: how near loops may come to a dead centre, as
+    Joints without limits turn once. Where joint terms follow a temperature it is the middle of those that were
+    measured. ``closure_determinant``: how near loops may come to a dead centre, as
     :class:`Uncertainty` has it; all poses in which they close when None. ``progress`` is told how many of how many are
     done.
     """
@@ -361,7 +363,7 @@ def uncertainty_map(
     errors, done = _Errors(view, machine.known_uncertainty), 0
     parts: list[tuple[Array, ...]] = []
     for chunk in np.array_split(readings, max(samples // _BLOCK, 1)):
-        usual = ordinary(chunk)
+        usual = usual_conditions(view.machine, chunk)
         found = _blocks(errors, chunk, usual)
         # Of many poses the covariances, and the placements of all joints, are what takes memory.
         positions = (view.machine.tips(chunk, usual) @ view.T_tool)[:, :3, 3].copy()

@@ -21,8 +21,8 @@ from calib.foundations.files import read_inside, stamp
 from calib.foundations.folders import reading_folder
 from calib.foundations.units import MM, UNITS
 from calib.machine.calibrated import CalibratedMachine
+from calib.machine.identified import usual_conditions
 from calib.machine.model_file import load_machine
-from calib.robot.conditions import ordinary
 from calib.robot.links import arm_of
 from calib.robot.robot import Deviations
 
@@ -170,7 +170,7 @@ def answer(model: CalibratedMachine, message: str | bytes) -> dict[str, Any]:
         return {"sentence": "The server does not know this request."}
     d = model.deviations
     led = Deviations((1.0 - apart) * d.placements, (1.0 - apart) * d.offsets, (1.0 - apart) * d.terms)
-    usual = ordinary(readings)
+    usual = usual_conditions(model, readings)
     try:
         positions = {
             name: arm_of(robot, deviations, readings, np.eye(4), usual).positions[0].tolist()

@@ -10,8 +10,9 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import PoseError, RobotError
 from calib.foundations.units import DISPLAY_OF
 from calib.machine.calibrated import CalibratedMachine
+from calib.machine.identified import usual_conditions
 from calib.presentation.scene import Mark, Scene, magnification
-from calib.robot.conditions import Conditions, ordinary
+from calib.robot.conditions import Conditions
 from calib.robot.deviation import axis_frame
 from calib.robot.links import Arm, arm_of, link_placements
 from calib.robot.load import with_document
@@ -33,7 +34,7 @@ def machine_scene(model: CalibratedMachine, mesh_roots: Sequence[Path] = ()) -> 
     """Return the scene of a machine in the instrument's frame: both arms on the calibrated base."""
     robot = model.robot
     rows, readings = sweeps(robot)
-    usual = ordinary(readings)
+    usual = usual_conditions(model, readings)
     root = model.base @ robot.root_in_base
     calibrated = arm_of(robot, model.deviations, readings, root, usual)
     tips = model.base @ robot.tips(readings, model.deviations, usual)

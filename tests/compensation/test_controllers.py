@@ -289,6 +289,10 @@ def test_terms_of_temperature_are_judged_where_they_were_measured(kind: str) -> 
     apart = true.tips(warm)[:, :3, 3] - true.tips(at)[:, :3, 3]
     assert left.cost == pytest.approx(np.sqrt(np.mean(np.sum(apart**2, axis=1))), rel=1e-2)
     assert export_ros(machine).lost < 1e-6
+    found = calib.judging.uncertainty_map(machine, 50)
+    warm = found.readings.copy()
+    warm[:, lift] += per_kelvin * (celsius.min() / 2.0 + celsius.max() / 2.0 - 20.0)
+    np.testing.assert_allclose(found.positions, true.tips(warm)[:, :3, 3], atol=1e-5)
 
 
 def constant_grid(error: Array) -> SectorGrid:

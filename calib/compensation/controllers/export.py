@@ -11,8 +11,8 @@ from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import OutputError
 from calib.machine.calibrated import CalibratedMachine
+from calib.machine.identified import usual_conditions
 from calib.machine.urdf import lost_in_urdf
-from calib.robot.conditions import Conditions, ordinary
 from calib.robot.sampling import random_readings
 
 Part = Literal[
@@ -69,23 +69,9 @@ def judged_readings(model: CalibratedMachine) -> Array:
     return random_readings(model.robot, _POSES, limits, (None, plain), determinant=determinant)
 
 
-def judged_conditions(model: CalibratedMachine, readings: Array) -> Conditions:
-    """Return the conditions of readings (N, nr) at which exports are judged.
-
-    Reached from neither side, no torques measured, and for long in the middle of the temperatures that were measured
-    where joint terms follow them: at the reference temperature these would be said to do nothing.
-    """
-    usual, known = ordinary(readings), model.uncertainty
-    measured = None if known is None else known.conditions.get("temperature")
-    if measured is None:
-        return usual
-    warm = replace(usual, temperature=np.full(len(readings), np.mean(measured)))
-    return warm.in_time(np.zeros(len(readings)))
-
-
 def whole_positions(model: CalibratedMachine, readings: Array) -> Array:
     """Return the positions (N, 3) in m of the tip in the base link: joint terms and residual grid included."""
-    return np.asarray(model.tips(readings, judged_conditions(model, readings))[:, :3, 3])
+    return np.asarray(model.tips(readings, usual_conditions(model, readings))[:, :3, 3])
 
 
 def plain_tips(model: CalibratedMachine, readings: Array) -> Array:
@@ -143,7 +129,7 @@ def _parts(model: CalibratedMachine, readings: Array, holds: frozenset[Part]) ->
 
     Of geometry that was fitted without them, terms and loops together are what it lacks.
     """
-    robot, d, conditions = model.robot, model.deviations, judged_conditions(model, readings)
+    robot, d, conditions = model.robot, model.deviations, usual_conditions(model, readings)
     tips = robot.tips(readings, d, conditions)
     found: list[LeftOut] = []
     if d.placements.any():

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.compensation.controllers.export import Export, judged_conditions, judged_export, judged_readings
+from calib.compensation.controllers.export import Export, judged_export, judged_readings
 from calib.compensation.controllers.yaml_text import Node, read_yaml, yaml_text
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.machine.calibrated import CalibratedMachine
+from calib.machine.identified import usual_conditions
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.robot import Deviations, Robot
 from calib.robot.terms import JointTerm, kind_of
@@ -78,11 +79,11 @@ def export_ros(model: CalibratedMachine) -> Export:
             [JointTerm(t["joint"], t["kind"], t["order"], t.get("body", "")) for t in read["terms"]],
         )
         return again.tips(
-            readings, Deviations(own.placements, offsets, coefficients), judged_conditions(model, readings)
+            readings, Deviations(own.placements, offsets, coefficients), usual_conditions(model, readings)
         )
 
     readings = judged_readings(model)
-    expected = robot.tips(readings, own, judged_conditions(model, readings))
+    expected = robot.tips(readings, own, usual_conditions(model, readings))
     return judged_export(model, text, read_back, expected, frozenset({"joint terms"}))
 
 
