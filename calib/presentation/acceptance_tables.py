@@ -77,12 +77,13 @@ def _explained(found: Verification) -> list[str]:
         lines.append(f"{_as_subject(_moved(anew))} explains them{also}: {_ELSEWHERE[what]}{alike}.")
     tried = list(more.values()) or ([] if found.refit is None else [found.anew[found.refit]])
     if tried and not enough:
-        anew = tried[-1]
+        anew = min(tried, key=lambda one: one.judgement.metrics["position"].rms)
         left = figures_in("m", anew.judgement.metrics["position"].rms)[0]
+        both = "" if "both" in found.anew else "base and tool have both moved, which these rows cannot show, "
         lines.append(
-            f"{_as_subject(_moved(anew))} leaves {left} mm rms, more than the stated uncertainty explains: the arm "
-            "itself has changed, it bears a load or a temperature that was not told, or its uncertainty is stated too "
-            "small."
+            f"{_as_subject(_moved(anew))} leaves {left} mm rms, more than the stated uncertainty explains: {both}the "
+            "arm itself has changed, it bears a load or a temperature that was not told, or its uncertainty is stated "
+            "too small."
         )
     return lines
 

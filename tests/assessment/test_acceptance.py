@@ -165,6 +165,20 @@ def test_base_and_tool_are_found_anew_together() -> None:
     assert "explains them" not in said
 
 
+def test_rows_too_few_for_base_and_tool_do_not_blame_the_arm_alone() -> None:
+    """Three positions find a base or a tool anew, not both: it was said that the arm itself has changed."""
+    _, true, _ = machine()
+    u = machine_of(calibrated(true, 1))
+    tools = {"tool": true.tools["tool"] @ pose((0.03, 0.0, 0.02))}
+    found = verify(u, seen(replace(true, base=anywhere(np.random.default_rng(9)), tools=tools), 3, 7))
+    assert set(found.anew) == {"base", "tool"}
+    said = " ".join(map(str, verification_lines(found)))
+    assert re.search(
+        r"A base moved by [^,]* leaves [\d.]+ mm rms, more than the stated uncertainty explains: base", said
+    )
+    assert "base and tool have both moved, which these rows cannot show, the arm itself has changed, it bears" in said
+
+
 def test_an_offset_of_the_last_joint_looks_like_a_tool_that_moved() -> None:
     _, true, _ = machine()
     for observes in ("position", "pose"):
