@@ -1,5 +1,6 @@
 """``calib verify``: whether a calibrated machine is still what it was."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -58,6 +59,7 @@ def verify(
         from calib.measurement.table import Columns, HeaderError
         from calib.presentation.acceptance_tables import verification_lines, verification_sheet
         from calib.presentation.console import warning
+        from calib.results.folder import RESULT_FILE, not_trusted, read_result
     with telling.progress(steps=2) as say:
         say("reading the model and the measurements")
         machine = load_machine(results).at(setup)
@@ -88,6 +90,8 @@ def verify(
         # Else a wrong unit would be told as an arm that has changed.
         refuse_findings(table_findings(data, machine.robot.readings, machine.robot.reach))
         left_out = [finding.sentence for finding in unreached(data)]
+        doubted = os.path.lexists(results / RESULT_FILE) and not read_result(results).trusted
+        doubts = [not_trusted(results)] if doubted else []
         say("judging")
         found = judged(
             machine,
@@ -98,8 +102,8 @@ def verify(
         )
         outside = outside_identified(machine, data.readings, data.loaded(machine.robot).conditions)
     telling.tell(
-        lambda: {**found.contents(), "outside": list(outside), "notes": left_out},
-        lambda: [*map(warning, (*left_out, *outside)), verification_sheet(found), *verification_lines(found)],
+        lambda: {**found.contents(), "outside": list(outside), "notes": [*doubts, *left_out]},
+        lambda: [*map(warning, (*doubts, *left_out, *outside)), verification_sheet(found), *verification_lines(found)],
     )
     if not found.passed:
         raise typer.Exit(NOT_TRUSTED)

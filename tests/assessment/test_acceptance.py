@@ -692,6 +692,20 @@ def test_verify_passes_and_fails(case: Path) -> None:
     assert (wrong.code, wrong.out) == (1, "")
 
 
+def test_verify_says_that_the_calibration_is_doubted(case: Path, tmp_path: Path) -> None:
+    """Errors of decimetres passed, as the doubted result states as much, and no word told of the doubt."""
+    out = tmp_path / "doubted"
+    shutil.copytree(case / "out", out)
+    text = (out / "result.json").read_text(encoding="utf-8")
+    (out / "result.json").write_text(text.replace('"trusted": true', '"trusted": false', 1), encoding="utf-8")
+    said = run("verify", out, case / "validation.csv")
+    assert said.code == 0
+    assert "is not trusted: see its own report." in " ".join(said.out.split())
+    told = json.loads(run("verify", out, case / "validation.csv", "--json").out)
+    assert told["notes"] == [f"{out} is not trusted: see its own report."]
+    assert json.loads(run("verify", case / "out", case / "validation.csv", "--json").out)["notes"] == []
+
+
 def test_tables_of_other_programs_are_verified(case: Path, tmp_path: Path) -> None:
     """Columns by other names, without units, to be passed over, or of three angles: as a job reads them."""
     out, table = case / "out", case / "validation.csv"
