@@ -355,6 +355,7 @@ def _unexplained(model: ErrorModel, sets: Sequence[Measurements], missed: float,
         "is this the URDF of the robot that was measured",
         *(f"is the given {name} right" for name in fixed),
         f"is a joint offset above {_MOST_ORDINARY * _ORDINARY_ANGLE / DEG:.0f} deg",
+        *(("does a loop close another way than the URDF draws it",) if model.robot.loops else ()),
         "do readings and measurements of a row belong together",
         "or are there two mistakes?",
     )

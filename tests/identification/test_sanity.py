@@ -15,6 +15,7 @@ from calib.foundations.errors import MeasurementError
 from calib.identification import sanity
 from calib.identification.sanity import signatures
 from calib.identification.targets import Target
+from calib.job.inputs import load
 from calib.measurement.checks import Finding
 from scripts.examples import ur10_leica_job as job
 from tests.support import machines, touching
@@ -393,6 +394,16 @@ def test_an_instrument_that_stopped_is_not_taken_for_degrees() -> None:
     stopped = replace(data, position=np.broadcast_to(data.position[0], data.position.shape))
     (finding,) = signatures(lab.model(), [stopped])
     assert (finding.severity, finding.code) == ("warning", "unexplained")
+
+
+def test_of_loops_it_is_asked_how_they_close() -> None:
+    """A four-bar that was assembled the other way round misses by decimetres, and nothing said where to look."""
+    inputs = load(Path(__file__).resolve().parents[2] / "robots/irb2400/calibration.toml")
+    data = inputs.identify[2]
+    assert data.position is not None
+    (finding,) = signatures(inputs.model, [replace(data, position=data.position[::-1])])
+    assert (finding.severity, finding.code) == ("warning", "unexplained")
+    assert ", does a loop close another way than the URDF draws it, do readings" in finding.sentence
 
 
 def test_two_mistakes_are_not_taken_for_one() -> None:
