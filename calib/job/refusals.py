@@ -51,7 +51,12 @@ def refuse_levels(
             if file not in (nodes if residual else files):
                 known = ", ".join(map(repr, nodes if residual else files)) or "none"
                 kind = "nodes" if residual else "identify"
-                raise JobError(f'{path}: levels[{i}].measurements: {file!r} has not use = "{kind}"; with it: {known}.')
+                # A Gaussian process needs no tables of its own, and takes those to identify from where it has none.
+                gaussian = level.residual_model is not None and level.residual_model.kind == "gaussian_process"
+                cure = "; leave the key out, and those to identify from are taken" if gaussian and not nodes else ""
+                raise JobError(
+                    f'{path}: levels[{i}].measurements: {file!r} has not use = "{kind}"; with it: {known}{cure}.'
+                )
     rows = {section.file: len(data) for section, data in zip(_identified(job), chosen, strict=True)}
     own = [level.measurements or rows for level in job.levels if not level.residual_model]
     asked = sum(max(rows[file], _FEWEST_OF_TABLE) for files_of in own for file in (*files_of, *rows))

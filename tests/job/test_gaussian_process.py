@@ -117,6 +117,10 @@ def test_an_arm_without_anything_unexplained_gets_none(tmp_path: Path) -> None:
         ),
         ('kind = "gaussian_process", joints = ["joint_99"]', "a residual model cannot follow 'joint_99'"),
         ('kind = "gaussian_process", joints = []', "levels[1].residual_model.joints"),
+        (
+            'kind = "gaussian_process" }\nmeasurements = ["identification.csv"]\n#',
+            """has not use = "nodes"; with it: none; leave the key out, and those to identify from are taken.""",
+        ),
     ],
 )
 def test_wrong_residual_models_are_refused(kind: str, sentence: str, tmp_path: Path) -> None:
