@@ -25,7 +25,7 @@ from calib.foundations.errors import OutputError
 from calib.foundations.files import DAMAGED, LARGEST_JSON, read_inside, sentences, stamp, write_atomically
 from calib.foundations.words import shown
 from calib.measurement.formats.images import ENDINGS
-from calib.results.folder import RESULT_FILE
+from calib.results.result_file import RESULT_FILE
 
 JOB, RESULTS, MADE, PHOTOGRAPHS, ROBOT = "calibration.toml", "results", "tables", "photographs", "robot"
 RESULT = f"{RESULTS}/{RESULT_FILE}"

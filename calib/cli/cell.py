@@ -1,6 +1,5 @@
 """``calib cell``: an arm and what it touched, in one URDF."""
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -41,7 +40,7 @@ def cell(
         from calib.presentation.console import warning
         from calib.presentation.machine_scene import cell_scene
         from calib.presentation.scene import render_scene
-        from calib.results.folder import RESULT_FILE, not_trusted, read_result
+        from calib.results.result_file import doubted, not_trusted
     if scene is None:
         refuse_idle("meshes are read for --scene alone.", {"--mesh-root": mesh_root})
     if scene == out:
@@ -50,8 +49,7 @@ def cell(
     found = calibrated_cell(arm, positioner, placed_in, prefix, setup=setup)
     # As in a job: the URDF's own folder, and what is named.
     roots = (arm.parent, *mesh_folders(mesh_root))
-    judged = [folder for folder in dict.fromkeys((arm, positioner)) if os.path.lexists(folder / RESULT_FILE)]
-    doubted = [folder for folder in judged if not read_result(folder).trusted]
+    unsure = doubted(arm, positioner)
     files: dict[Path, bytes | str] = {out: found.cell.document}
     if scene is not None:
         files[scene] = render_scene(cell_scene(found, f"{out.name}: calibrated cell", roots))
@@ -63,14 +61,14 @@ def cell(
             "file": str(out),
             "scene": None if scene is None else str(scene),
             **found.contents(),
-            "not_trusted": list(map(str, doubted)),
+            "not_trusted": list(map(str, unsure)),
         },
         lambda: [
-            *(warning(not_trusted(folder)) for folder in doubted),
+            *(warning(not_trusted(folder)) for folder in unsure),
             *map(warning, found.remarks),
             *place_lines(found),
             f"The cell is in {out}.{changed}",
         ],
     )
-    if doubted:
+    if unsure:
         raise typer.Exit(NOT_TRUSTED)

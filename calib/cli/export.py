@@ -39,12 +39,14 @@ def export(
         from calib.machine.model_file import load_machine
         from calib.presentation.console import warning
         from calib.results.folder import DH_FILE
+        from calib.results.result_file import doubted, not_trusted
         from calib.robot import dh
     refuse_taken(out)
     with reading_folder(results):
         model = load_machine(results)
         model = model if tool is None else model.of(tool)
         corrected = results / DH_FILE
+        doubts = list(map(not_trusted, doubted(results)))
         table = dh.read_dh(corrected) if to == "dh" and corrected.is_file() else None
     try:
         found = exported(model, to, table)
@@ -54,8 +56,9 @@ def export(
     where = "within the joints' limits" if model.uncertainty is None else "of the identified range"
     machine = "the nominal URDF with this file alone" if to == "ros" else "the machine of the file"
     telling.tell(
-        lambda: {"file": str(out), **found.contents()},
+        lambda: {"file": str(out), **found.contents(), "notes": doubts},
         lambda: [
+            *map(warning, doubts),
             *(
                 warning(f"{part.part}: not in the file; this moves the tip by {_said(part.cost)}.")
                 for part in found.left_out

@@ -78,7 +78,7 @@ def _study(model: "ErrorModel", readings: "Array", errors: Path) -> "GroupStudy"
         from calib.assessment.sensitivity import group_study
         from calib.foundations.errors import JobError, naming
         from calib.job.assumed_errors import read_errors
-        from calib.results.folder import robot_errors
+        from calib.results.result_file import robot_errors
     given = read_errors(errors, model) if _assumed(errors) else robot_errors(errors)
     with naming(f"{errors}: is no result of this job", JobError):
         return group_study(model, readings, given)

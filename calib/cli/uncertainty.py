@@ -38,6 +38,7 @@ def uncertainty(
         from calib.presentation.console import warning
         from calib.presentation.map_tables import map_csv, map_sheet
         from calib.presentation.sheets import budget_sheet
+        from calib.results.result_file import doubted, not_trusted
     refuse_taken(out)
     with telling.progress(steps=1) as say:
         machine = load_machine(results).standing(setup, str(results))
@@ -54,6 +55,7 @@ def uncertainty(
     outside = outside_identified(machine, found.readings) if machine.robot.terms else ()
     if outside:
         outside = (*outside, "There the uncertainty holds only if the machine's joint terms are the right ones.")
+    doubts = list(map(not_trusted, doubted(results)))
     if out is not None:
         write_new(out, map_csv(found, machine.robot.readings))
     telling.tell(
@@ -62,9 +64,10 @@ def uncertainty(
             "known": found.known_shares(),
             "budget": budget,
             "outside": list(outside),
+            "notes": doubts,
         },
         lambda: [
-            *map(warning, outside),
+            *map(warning, (*doubts, *outside)),
             map_sheet(found, found.known),
             budget_sheet(budget, len(found.readings)),
             *([] if out is None else [f"Every pose is in {out}."]),

@@ -1,6 +1,5 @@
 """``calib verify``: whether a calibrated machine is still what it was."""
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -59,7 +58,7 @@ def verify(
         from calib.measurement.table import Columns, HeaderError
         from calib.presentation.acceptance_tables import verification_lines, verification_sheet
         from calib.presentation.console import warning
-        from calib.results.folder import RESULT_FILE, not_trusted, read_result
+        from calib.results.result_file import doubted, not_trusted
     with telling.progress(steps=2) as say:
         say("reading the model and the measurements")
         machine = load_machine(results).at(setup)
@@ -90,8 +89,7 @@ def verify(
         # Else a wrong unit would be told as an arm that has changed.
         refuse_findings(table_findings(data, machine.robot.readings, machine.robot.reach))
         left_out = [finding.sentence for finding in unreached(data)]
-        doubted = os.path.lexists(results / RESULT_FILE) and not read_result(results).trusted
-        doubts = [not_trusted(results)] if doubted else []
+        doubts = list(map(not_trusted, doubted(results)))
         say("judging")
         found = judged(
             machine,

@@ -30,7 +30,8 @@ from calib.foundations.words import shown
 from calib.job.calibrate import calibrated
 from calib.job.read import Progress
 from calib.results.calibration import versions
-from calib.results.folder import ALWAYS, RESULT_FILE, TO_BE_SEEN, read_result
+from calib.results.folder import ALWAYS, TO_BE_SEEN
+from calib.results.result_file import RESULT_FILE, read_result
 from calib.robot.sources import EXAMPLE, resolve
 
 # How long a cluster may take to answer, and may be without any worker, in s.

@@ -17,8 +17,8 @@ from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, Done, refuse_other_
 from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report
 from calib.presentation.report.page import render_page
 from calib.presentation.sheets import SHOWN
-from calib.results.folder import REPORT_FILE, read_result
-from calib.results.result_file import ResultFile
+from calib.results.folder import REPORT_FILE
+from calib.results.result_file import ResultFile, read_result
 
 
 def fleet_lines(finished: Sequence[Done]) -> tuple[JobLine, ...]:

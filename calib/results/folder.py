@@ -2,13 +2,10 @@
 
 import json
 import math
-from codecs import BOM_UTF8
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from pydantic import ValidationError
+from typing import Any
 
 from calib.assessment.advice import advice
 from calib.assessment.hand_eye import hand_eyes
@@ -20,9 +17,9 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes, sentences
 from calib.foundations.folders import reading_folder, real_folder, refuse_kept, refuse_unwritable, write_folder
-from calib.foundations.json_text import NotJsonError, document, parse_json, validated
+from calib.foundations.json_text import NotJsonError, document, parse_json
 from calib.foundations.units import DEG, MM
-from calib.foundations.words import harmless, shown
+from calib.foundations.words import harmless
 from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
@@ -36,7 +33,7 @@ from calib.machine.model_file import (
     machine_files,
     run_of,
 )
-from calib.machine.run import MODEL_FILE, refuse_other_run
+from calib.machine.run import MODEL_FILE
 from calib.machine.uncertainty_file import UNCERTAINTY_FILE
 from calib.measurement.kinds import Kind, size
 from calib.presentation.hand_eye import camera_info, static_transform, urdf_joint
@@ -48,14 +45,11 @@ from calib.presentation.report.page import render_page
 from calib.presentation.scene import render_scene
 from calib.results.calibration import Calibration, InUrdf, assess, versions
 from calib.results.report import report_of
+from calib.results.result_file import RESULT_FILE
 from calib.results.scene import scene_of
 from calib.robot import dh
 from calib.robot.sources import usual_mesh_roots
 
-if TYPE_CHECKING:
-    from calib.results.result_file import ResultFile
-
-RESULT_FILE = "result.json"
 JOB_FILE = "job.json"
 RESIDUAL_FILE = "residuals.csv"
 SCENE_FILE = "scene.html"
@@ -73,8 +67,6 @@ _MOST_WORST = 10
 # What a file manager leaves behind when somebody looks at a folder.
 _LEFT_BEHIND = (".DS_Store",)
 STEPS_OF_WRITING = 4
-# Of a parameter read back, in SI units.
-_LARGEST_VALUE = 1e6
 
 
 def refuse_folder(out: Path, inputs: Sequence[Path] = ()) -> Path:
@@ -197,42 +189,6 @@ def scene(found: Calibration | Fit | CalibratedMachine) -> Page:
 def judged(found: Calibration | Fit) -> Calibration:
     """Return a calibration as it is, and a fit judged by its own data."""
     return assess(found) if isinstance(found, Fit) else found
-
-
-def read_result(folder: Path) -> "ResultFile":
-    """Return what ``result.json`` of a folder of results says. Raises OutputError when it holds no readable one."""
-    from calib.results.result_file import ResultFile  # noqa: PLC0415 - slow to load, and nobody who writes needs it
-
-    path = folder / RESULT_FILE
-    with reading_folder(folder):
-        source = read_bytes(path, OutputError, LARGEST_JSON)
-        try:
-            found = validated(ResultFile, source.removeprefix(BOM_UTF8))
-        except NotJsonError as e:
-            raise OutputError(f"{path}: {e}.") from e
-        except ValidationError as e:
-            raise OutputError(f"{path}: is not a result of this tool.") from e
-        refuse_other_run(path, found.run)
-    return found
-
-
-def not_trusted(folder: Path) -> str:
-    """Return what is said wherever a result is used that is not to be trusted."""
-    return f"{folder} is not trusted: see its own report."
-
-
-def robot_errors(folder: Path) -> dict[str, float]:
-    """Return the identified parameters of a robot, in SI units, from a folder of results.
-
-    Raises OutputError when the folder holds no readable result.
-    """
-    found = {entry.name: entry.value for entry in read_result(folder).parameters}
-    if wrong := [name for name, value in found.items() if not abs(value) <= _LARGEST_VALUE]:
-        raise OutputError(
-            f"{folder / RESULT_FILE}: the parameter {shown(wrong[0])} is not a number up to {_LARGEST_VALUE:g}."
-        )
-    of_set_up = ("base", "tool", "target", "length", "lens", "board", "clock")
-    return {name: value for name, value in found.items() if name.partition(".")[0] not in of_set_up}
 
 
 def result_json(found: Calibration) -> str:

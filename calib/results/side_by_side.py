@@ -8,8 +8,7 @@ from calib.foundations.units import MM
 from calib.presentation.acceptance_tables import change_sheet, comparison_sentences
 from calib.presentation.report.document import Block, Prose, Report, Row, Section, Sheet, Tile, Verdict
 from calib.presentation.sheets import SHOWN
-from calib.results.folder import not_trusted, read_result
-from calib.results.result_file import ResultFile
+from calib.results.result_file import ResultFile, not_trusted, read_result
 
 
 def side_by_side(folders: tuple[Path, Path], found: Comparison) -> Report:

@@ -51,7 +51,8 @@ from calib.presentation.live import answer, sliders
 from calib.presentation.meshes import primitive
 from calib.presentation.visuals import visuals
 from calib.results.calibration import Calibration
-from calib.results.folder import result, robot_errors
+from calib.results.folder import result
+from calib.results.result_file import robot_errors
 from calib.robot import dh
 from calib.robot.collision import self_collision
 from calib.robot.conditions import ordinary

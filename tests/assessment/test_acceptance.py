@@ -22,7 +22,7 @@ from calib.presentation.acceptance_tables import comparison_sentences, verificat
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.urdf import parse_urdf
 from tests.support import machines, trees
-from tests.support.cases import copy_case, run
+from tests.support.cases import CASE, copy_case, run
 from tests.support.machines import Array, Machine, anywhere, pose
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
@@ -692,18 +692,40 @@ def test_verify_passes_and_fails(case: Path) -> None:
     assert (wrong.code, wrong.out) == (1, "")
 
 
-def test_verify_says_that_the_calibration_is_doubted(case: Path, tmp_path: Path) -> None:
-    """Errors of decimetres passed, as the doubted result states as much, and no word told of the doubt."""
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("verify", "OUT", "validation.csv"),
+        ("uncertainty", "OUT", "--samples", "10"),
+        ("export", "OUT", "--to", "offsets", "-o", "offsets.csv"),
+        ("compensate", "OUT", "validation.csv", "--frame", "instrument", "-o", "corrected.csv"),
+        ("performance", "OUT", "cone.csv"),
+    ],
+    ids=lambda command: command[0],
+)
+def test_commands_say_that_the_calibration_is_doubted(
+    case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    """Errors of decimetres passed verify, as the doubted result states as much, and no word told of the doubt."""
+    monkeypatch.chdir(tmp_path)
     out = tmp_path / "doubted"
     shutil.copytree(case / "out", out)
+    for name in ("validation.csv", "cone.csv"):
+        shutil.copyfile(CASE / name, tmp_path / name)
     text = (out / "result.json").read_text(encoding="utf-8")
     (out / "result.json").write_text(text.replace('"trusted": true', '"trusted": false', 1), encoding="utf-8")
-    said = run("verify", out, case / "validation.csv")
-    assert said.code == 0
+
+    def called(folder: Path) -> list[str | Path]:
+        for written in ("offsets.csv", "corrected.csv"):
+            (tmp_path / written).unlink(missing_ok=True)
+        return [folder if word == "OUT" else word for word in command]
+
+    said = run(*called(out))
+    assert said.code == 0, said.err
     assert "is not trusted: see its own report." in " ".join(said.out.split())
-    told = json.loads(run("verify", out, case / "validation.csv", "--json").out)
+    told = json.loads(run(*called(out), "--json").out)
     assert told["notes"] == [f"{out} is not trusted: see its own report."]
-    assert json.loads(run("verify", case / "out", case / "validation.csv", "--json").out)["notes"] == []
+    assert json.loads(run(*called(case / "out"), "--json").out)["notes"] == []
 
 
 def test_tables_of_other_programs_are_verified(case: Path, tmp_path: Path) -> None:
@@ -848,7 +870,7 @@ def test_a_file_of_another_run_is_refused(case: Path, tmp_path: Path, name: str)
         "results is used as one run wrote it.\n",
     )
     assert not page.exists()
-    for part in ("model.json", "uncertainty.json", name):
+    for part in {"model.json", "uncertainty.json", "result.json", name}:
         contents = json.loads((out / part).read_text(encoding="utf-8"))
         (out / part).write_text(json.dumps({k: v for k, v in contents.items() if k != "run"}), encoding="utf-8")
     assert run(*asked) == (0, "", "")

@@ -22,8 +22,8 @@ from calib.presentation import display, live
 from calib.presentation.console import drawn, short_report
 from calib.presentation.tables import plain
 from calib.results.calibration import Calibration
-from calib.results.folder import read_result
 from calib.results.report import report_of
+from calib.results.result_file import read_result
 from tests.crossed.simulate import ELBOW, SIGMA, Case, write
 from tests.support.cases import Said, run
 

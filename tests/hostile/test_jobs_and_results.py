@@ -14,7 +14,7 @@ from calib.foundations.json_text import NotJsonError, parse_json
 from calib.job.read import read_job
 from calib.machine.model_file import load_machine
 from calib.machine.npz import NotReadableError, arrays_of
-from calib.results.folder import robot_errors
+from calib.results.result_file import robot_errors
 
 
 def refused(tmp_path: Path, job: str | bytes) -> str:
