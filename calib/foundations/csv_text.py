@@ -19,7 +19,7 @@ _SEPARATORS = ",;|\t\n\r\v\f\x1c-\x1e\x85\u2028\u2029"
 # Before it may stand what some spreadsheets take off: spaces, quotes, and what has no width, as the mark of a file.
 _BEFORE = r"[\s\"\0\u200b\ufeff]*"
 # What may begin a cell.
-_BEGINNING = re.compile(rf"(^|[{_SEPARATORS}])({_BEFORE})(?=([{_SIGNS}][^{_SEPARATORS}]*))")
+_BEGINNING = re.compile(rf"((?:^|[{_SEPARATORS}]){_BEFORE})(?=[{_SIGNS}])")
 # The apostrophe that stands before it in our own files.
 _MARK = re.compile(rf"((?:^|[{_SEPARATORS}]){_BEFORE})'(?=[{_SIGNS}])")
 # "#" begins a comment in our own tables.
@@ -82,13 +82,10 @@ def without_marks(text: str) -> str:
 
 
 def _defused(text: str) -> str:
-    marked = _BEGINNING.sub(_marked, text)
+    # Of the whole text alone: behind a number and a line end, a tab or a decimal comma, a formula goes on.
+    words = text.strip('" ')
+    if words in _SIDES or NUMBER.fullmatch(words):
+        return text
+    marked = _BEGINNING.sub(r"\1'", text)
     # White space that begins a cell is left out by some, and what follows is then a formula or not; nobody needs it.
     return f"'{marked}" if text.startswith(("\t", "\r")) else marked
-
-
-def _marked(found: re.Match[str]) -> str:
-    separator, between, rest = found.groups()
-    words = rest.strip('" ')
-    harmless = words in _SIDES or NUMBER.fullmatch(words) is not None
-    return found[0] if harmless else f"{separator}{between}'"

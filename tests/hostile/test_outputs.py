@@ -115,6 +115,24 @@ def test_spreadsheets_compute_nothing(results: tuple[Path, Said]) -> None:
     assert not [part for part in parts if has_formula(part.strip('" '))]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "-1\n*HYPERLINK(A1)",
+        "-1\t*HYPERLINK(A1)",
+        "+\n2*HYPERLINK(A1)",
+        "-1,5*HYPERLINK(A1)",
+        "-1|HYPERLINK(A1)",
+        "-\x0b1+A1",
+    ],
+)
+def test_a_formula_may_begin_with_a_number(text: str) -> None:
+    """It goes on behind a line end or a tab, and behind the comma where that is the decimal sign."""
+    assert csv_cell(text).lstrip('"').startswith("'")
+    assert csv_cell("-1.5e3") == "-1.5e3"
+    assert csv_cell("+") == "+"
+
+
 def test_names_make_no_files(results: tuple[Path, Said]) -> None:
     out, _ = results
     assert {path.parent for path in out.rglob("*")} == {out}
@@ -144,7 +162,7 @@ def test_cells() -> None:
         ("a;－1", '"a;\'－1"'),
         ("＠sum", "'＠sum"),
         ("a=b", "a=b"),
-        ("1,-2;+3.5", '"1,-2;+3.5"'),
+        ("1,-2;+3.5", "\"1,'-2;'+3.5\""),
         ("a;b", '"a;b"'),
         ("# a", '"# a"'),
         ("\ufeff=1+1", "\ufeff'=1+1"),  # at the start of a file the mark goes, and leaves a formula
