@@ -25,7 +25,7 @@ def main() -> None:
             _prepare()
             from calib.cli import main as run  # noqa: PLC0415 - see above
     except ImportError as e:
-        if not _on_windows():
+        if e.name != "calib.foundations.system":  # which says where this runs
             raise
         sys.stderr.write(f"Error: {e}\n")
         sys.exit(1)
@@ -155,10 +155,6 @@ def _open_streams() -> None:
         if getattr(sys, name) is None:
             mode = "r" if number == 0 else "w"
             setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115 - as long as we run
-
-
-def _on_windows() -> bool:
-    return sys.platform == "win32"
 
 
 def _leave(_number: int, _frame: FrameType | None) -> None:

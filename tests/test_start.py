@@ -174,6 +174,17 @@ def test_windows_is_sent_to_wsl() -> None:
     assert err.endswith(f"ImportError: {said}")
 
 
+def test_a_python_without_locks_is_told_in_a_sentence() -> None:
+    said = (
+        "calib needs the locks of files of Linux and macOS, and this Python has no module fcntl; use another Python.\n"
+    )
+    without = "import sys; sys.modules['fcntl'] = None\n"
+    assert start(without + MAIN, "check", "nothing.toml") == (1, "", f"Error: {said}")
+    code, out, err = start(without + "import calib")
+    assert (code, out) == (1, "")
+    assert err.endswith(f"ImportError: {said}")
+
+
 def test_what_cannot_be_imported_elsewhere_is_a_bug_and_shown() -> None:
     code, out, err = start("import sys; sys.modules['scipy'] = None\n" + MAIN, "check", "nothing.toml")
     assert (code, out) == (1, "")
