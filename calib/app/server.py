@@ -1,23 +1,22 @@
 """The requests of the page, each behind guards: this computer alone, a secret in the address, no other page."""
 
 import asyncio
-import contextlib
 import json
 import secrets
 import signal
+import sys
 import threading
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 from typing import IO, Any
 
-from tornado.iostream import StreamClosedError
 from tornado.web import stream_request_body
 
 from calib.app.folder import LARGEST_FILE, RESULTS, TOO_LARGE, as_zip, private_folder
 from calib.app.session import Session
 from calib.foundations.errors import CalibError, JobError, OutputError
-from calib.foundations.files import read_inside
+from calib.foundations.files import open_inside
 from calib.presentation.local import Guarded, listening
 from calib.results.folder import REPORT_FILE, SCENE_FILE
 from calib.robot.sources import examples
@@ -30,7 +29,6 @@ _POLICY = (
 # Report and scene hold names from files: whatever they were made to do, they could not speak to this server.
 _SANDBOX = "sandbox allow-scripts allow-popups"
 _LARGEST_PAGE = 200_000_000
-_PIECE = 1 << 20
 _UNKNOWN = "The page does not know this request."
 
 
@@ -206,18 +204,19 @@ class _Verb(_Ours):
 
 
 class _Results(_Ours):
-    def get(self, name: str) -> None:
-        try:
-            contents = read_inside(self.session.folder / RESULTS, name, OutputError, _LARGEST_PAGE)
-        except OutputError:
-            contents = b""
+    async def get(self, name: str) -> None:
         # What has changed since is not what it shows.
-        if not contents or self.session.results is None:
+        if self.session.results is None:
+            self.send_error(404)
+            return
+        try:
+            page = open_inside(self.session.folder / RESULTS, name, OutputError, _LARGEST_PAGE)
+        except OutputError:
             self.send_error(404)
             return
         self.set_header("Content-Type", "text/html; charset=utf-8")
         self.set_header("Content-Security-Policy", _SANDBOX)
-        self.finish(contents)
+        await self.send(page, _LARGEST_PAGE)
 
 
 class _Folder(_Ours):
@@ -238,10 +237,7 @@ class _Folder(_Ours):
             return
         self.set_header("Content-Type", "application/zip")
         self.set_header("Content-Disposition", 'attachment; filename="calibration.zip"')
-        with archive, contextlib.suppress(StreamClosedError):
-            while piece := archive.read(_PIECE):
-                self.write(piece)
-                await self.flush()
+        await self.send(archive, sys.maxsize)
 
     async def _archive(self) -> IO[bytes]:
         session = self.session

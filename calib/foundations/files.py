@@ -68,13 +68,31 @@ def read_inside(folder: Path, name: str, error: type[CalibError], largest: int =
     For what is handed on to others, whom the link's own permissions would not let read.
     """
     path = folder / name
-    with sentences(path, error), opened_folder(folder) as handle:
+    with sentences(path, error):
+        return _contents(_inside(folder, name, error), path, error, largest)
+
+
+def open_inside(folder: Path, name: str, error: type[CalibError], largest: int) -> BinaryIO:
+    """Return the regular file ``name`` in a folder, opened, as :func:`read_inside` reads it: to be sent bit by bit."""
+    path = folder / name
+    with sentences(path, error):
+        file = os.fdopen(_inside(folder, name, error), "rb")
+        found = os.fstat(file.fileno())
+        if stat.S_ISREG(found.st_mode) and found.st_size <= largest:
+            return file
+        file.close()
+        raise error(f"{path}: is no regular file of up to {largest} bytes.")
+
+
+def _inside(folder: Path, name: str, error: type[CalibError]) -> int:
+    path = folder / name
+    with opened_folder(folder) as handle:
         found = lstat(name, handle)
         if found is None:
             raise error(f"{path}: there is no such file.")
         if not stat.S_ISREG(found.st_mode):
             raise error(f"{path}: is not a regular file.")
-        return _contents(os.open(name, _READ | os.O_NOFOLLOW, dir_fd=handle), path, error, largest)
+        return os.open(name, _READ | os.O_NOFOLLOW, dir_fd=handle)
 
 
 def _contents(handle: int, path: Path, error: type[CalibError], largest: int) -> bytes:

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from calib.foundations.errors import CalibError, KeptError, OutputError, PoseError
-from calib.foundations.files import read_inside, stamp
+from calib.foundations.files import open_inside, read_inside, stamp
 from calib.foundations.folders import reading_folder
 from calib.foundations.units import MM, UNITS
 from calib.machine.calibrated import CalibratedMachine
@@ -80,8 +80,8 @@ async def _run(
             while time.monotonic() < until:
                 try:
                     with reading_folder(folder, patience=0.0):
-                        contents = read_inside(folder, name or pages[0], OutputError, _LARGEST_PAGE)
-                    self.finish(contents)
+                        page = open_inside(folder, name or pages[0], OutputError, _LARGEST_PAGE)
+                    await self.send(page, _LARGEST_PAGE)
                     return
                 except KeptError:
                     await asyncio.sleep(_AGAIN)

@@ -15,6 +15,7 @@ import pytest
 from calib.foundations import files
 from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import (
+    open_inside,
     read_bytes,
     read_inside,
     refuse_taken,
@@ -111,6 +112,17 @@ def test_what_takes_the_place_of_a_file_is_not_followed(
     monkeypatch.setattr(os, "open", late)
     with pytest.raises(JobError, match=r"cannot be read|is not a regular file"):
         read_inside(tmp_path, "a", JobError)
+
+
+def test_open_inside_follows_no_link_and_opens_nothing_larger(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"abc")
+    (tmp_path / "link").symlink_to("a")
+    with open_inside(tmp_path, "a", JobError, 3) as file:
+        assert file.read() == b"abc"
+    with pytest.raises(JobError, match="is no regular file of up to 2 bytes"):
+        open_inside(tmp_path, "a", JobError, 2)
+    with pytest.raises(JobError, match="is not a regular file"):
+        open_inside(tmp_path, "link", JobError, 3)
 
 
 def test_sha256() -> None:

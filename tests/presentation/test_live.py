@@ -95,6 +95,26 @@ def test_it_listens_on_this_machine_alone_and_ends_well(server: tuple[subprocess
     assert process.returncode == 0
 
 
+def test_who_reads_slowly_has_no_copy_of_the_page(server: tuple[subprocess.Popen[str], str], out: Path) -> None:
+    """Twelve that asked for a page of 199 MB and did not read it took 2.4 GB."""
+    process, address = server
+    os.truncate(out / "report.html", 60_000_000)
+    port, before = int(address.rsplit(":", 1)[1].strip("/")), psutil.Process(process.pid).memory_info().rss
+    asked = f"GET /report.html HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode()
+    waiting = [socket.create_connection(("127.0.0.1", port)) for _ in range(6)]
+    try:
+        for one in waiting:
+            one.sendall(asked)
+            assert one.recv(12) == b"HTTP/1.1 200"
+        assert fetch(address)[0] == 200
+        assert psutil.Process(process.pid).memory_info().rss - before < 100_000_000
+    finally:
+        for one in waiting:
+            one.close()
+    status, page = fetch(address + "report.html")
+    assert (status, len(page)) == (200, 60_000_000)
+
+
 def test_joints_are_answered_by_the_calibrated_model(server: tuple[subprocess.Popen[str], str], out: Path) -> None:
     from tornado.httpclient import HTTPClientError, HTTPRequest
     from tornado.websocket import websocket_connect
