@@ -350,10 +350,12 @@ def _explained(
 
 def _unexplained(model: ErrorModel, sets: Sequence[Measurements], missed: float, best: _Trial) -> Finding:
     fixed = [name for name, freedom in (("base", model.base), ("tool", model.tool)) if freedom == "fixed"]
+    unturned = model.tool == "position" and any(data.kind == "pose" for data in sets)
     nearest = f" (the nearest, that {best.mistake.looks_as_if}, leaves {_mm(best.miss)})"
     questions = (
         "is this the URDF of the robot that was measured",
         *(f"is the given {name} right" for name in fixed),
+        *(('is the tool turned on its link, which tool = "pose" finds',) if unturned else ()),
         f"is a joint offset above {_MOST_ORDINARY * _ORDINARY_ANGLE / DEG:.0f} deg",
         *(("does a loop close another way than the URDF draws it",) if model.robot.loops else ()),
         "do readings and measurements of a row belong together",

@@ -387,6 +387,14 @@ def test_what_nothing_explains(observes: str) -> None:
     assert (finding.severity, finding.code) == ("warning", "unexplained")
 
 
+def test_of_poses_it_is_asked_whether_the_tool_is_turned() -> None:
+    """A camera on the wrist, say: poses tell its orientation, and a tool of a position alone has that of its link."""
+    lab = Lab("panda", "pose")
+    (finding,) = signatures(lab.model(tool="position"), [lab.measure()])
+    assert finding.code == "unexplained"
+    assert ', is the tool turned on its link, which tool = "pose" finds, ' in finding.sentence
+
+
 def test_an_instrument_that_stopped_is_not_taken_for_degrees() -> None:
     lab = Lab("ur10")
     data = lab.measure()
