@@ -636,6 +636,17 @@ def _unrelated(observes: str, rows: int, cells: str = "", columns: str = "", rel
     return Hostile(write)
 
 
+def _nowhere(folder: Path, size: int) -> None:
+    """Measure points that no arm has reached, and let a loss seek those that agree."""
+    _different((('sigma = "0.02 mm"', 'sigma = "0.02 mm"\nloss = "cauchy"'),))(folder, size)
+    path = folder / "identification.csv"
+    header, *rows = path.read_text(encoding="utf-8").splitlines()
+    rng = np.random.default_rng(0)
+    table = np.array([row.split(",") for row in rows], dtype=np.float64)
+    table[:, -3:] = rng.uniform(-900.0, 900.0, (len(table), 3))
+    _table(path, header, table, 1)
+
+
 def _parallelogram(folder: Path, size: int) -> None:
     """Write the shipped arm with a loop, and for its levels tables of other poses where these are larger."""
     case = ROOT / "robots" / "irb2400"
@@ -1487,6 +1498,10 @@ HOSTILE: dict[str, Hostile] = {
     "models of a torso": Hostile(_torso, _MODELS),
     "many poses": Hostile(_different()),
     "terms of many poses": Hostile(_different((("[error_model]", '[error_model]\nterms = "auto"'),))),
+    "harmonics of many poses": Hostile(
+        _different((("[error_model]", f'[error_model]\nharmonics = "all"\nharmonic_orders = {list(range(1, 21))}'),))
+    ),
+    "a loss among noise": Hostile(_nowhere),
     "bearings and torques": Hostile(_giving_way),
     "a process of many rows": _rows(lambda _: "", "", (("[error_model]", _PROCESS),)),
     "a process of noise": Hostile(_different((("[error_model]", _PROCESS),))),
