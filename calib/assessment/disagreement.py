@@ -27,6 +27,7 @@ from calib.foundations.linear import svd
 from calib.identification.arrow import Arrow, Collected
 from calib.identification.identifiability import NUMERICAL_TOLERANCE, RANK_TOLERANCE
 from calib.identification.parameters import Parameter, scales
+from calib.identification.relations import related_targets
 from calib.measurement.kinds import WITH_TARGET
 from calib.measurement.measurements import numbered
 
@@ -215,7 +216,7 @@ def jumps_of(residue: Residue, level: float) -> tuple[Jump, ...]:
             run = of_number[block.measurements][t]
             if run is not None:
                 run.add(block.measurements, block.rows.start + own, weighted[own], block.block[own], follow)
-    related = {name for relation in residue.fit.model.relations for name in relation.targets}
+    related = related_targets(residue.fit.model.relations)
     tried = {name: list(run.splits(residue, related=name in related)) for name, run in runs.items()}
     number = sum(map(len, tried.values()))
     best = {name: max(splits, key=lambda split: split.gain) for name, splits in tried.items() if splits}

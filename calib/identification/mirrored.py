@@ -17,6 +17,7 @@ from calib.foundations.linear import svd, triangle
 from calib.identification.machine import Layout, Machine
 from calib.identification.mirrored_boards import Photographed, frames_in, photographed
 from calib.identification.parameters import ParameterKind, scales
+from calib.identification.relations import related_targets
 from calib.identification.system import Problem
 from calib.measurement.kinds import Kind
 from calib.measurement.measurements import numbered
@@ -101,7 +102,7 @@ def _told_otherwise(problem: Problem, kind: ParameterKind) -> set[int]:
 def _related(problem: Problem) -> set[int]:
     """Return the targets, by number, between which something is known."""
     names = problem.measurements[0].targets
-    return {names.index(name) for relation in problem.relations for name in relation.targets}
+    return {names.index(name) for name in related_targets(problem.relations)}
 
 
 def _at_two_places(here: Array, ends: Array, residual: Array, sigma: Array) -> bool:

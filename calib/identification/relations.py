@@ -3,9 +3,9 @@
 A gauge's length gives a calibration by sockets its scale; a datum cube's faces are planes at known angles.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 
@@ -46,6 +46,16 @@ class Relation:
         of_sigma = "relations.sigma of an angle" if self.kind == "angle" else "relations.sigma"
         refuse_beyond(self.sigma, of_sigma, f"relation of {self.targets}: sigma")
         refuse_beyond(self.value, f"relations.{self.kind}", f"relation of {self.targets}: the {self.kind}")
+
+
+class _OfTwo(Protocol):
+    @property
+    def targets(self) -> tuple[str, str]: ...
+
+
+def related_targets(relations: Iterable[_OfTwo]) -> set[str]:
+    """Return the names of the targets between which something is known."""
+    return {name for relation in relations for name in relation.targets}
 
 
 def relate(relations: Sequence[Relation], names: Sequence[str], targets: Array) -> tuple[Array, Array]:

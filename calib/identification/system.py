@@ -24,7 +24,7 @@ from calib.identification.machine import Frames, Layout, Machine, States
 from calib.identification.observations.pixels import Photographed
 from calib.identification.parameters import Parameter, scales
 from calib.identification.rates import Links, Rates
-from calib.identification.relations import Relation, relate
+from calib.identification.relations import Relation, relate, related_targets
 from calib.identification.rows import (
     held_at,
     named,
@@ -130,7 +130,7 @@ class Problem:
 
     def _by_what_is_known(self, *, targets_alone: bool) -> Split:
         names = self.measurements[0].targets if self.measurements else ()
-        related = {name for relation in self.relations for name in relation.targets}
+        related = related_targets(self.relations)
         joined = {t for t, name in enumerate(names) if name in related}
         layout = Layout.of(self.model.robot, self.reference)
         return split_of(self.parameters, layout, self.measurements, joined, targets_alone=targets_alone)
@@ -331,7 +331,7 @@ def related(problem: Problem, x: Array) -> Array:
 
 def _related(problem: Problem, rates: Rates, at: Machine) -> Array:
     names = problem.measurements[0].targets if problem.measurements else ()
-    numbers = sorted({names.index(name) for relation in problem.relations for name in relation.targets})
+    numbers = sorted(map(names.index, related_targets(problem.relations)))
     J, r = relate(problem.relations, [names[t] for t in numbers], at.frames.targets[numbers])
     return np.column_stack([np.tensordot(J, rates.of_targets.twists(numbers), axes=2), r])
 

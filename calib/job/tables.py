@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from calib.assessment.validation import hold_out
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, MeasurementError, naming
+from calib.identification.relations import related_targets
 from calib.job.read import Progress, read_board
 from calib.job.schema import FLOOR, InstrumentSection, Job, MeasurementsSection
 from calib.job.stated import carrier_of, in_si, payload_of
@@ -107,8 +108,7 @@ def shared_out(data: Measurements, section: MeasurementsSection, job: Job) -> Me
     Raises MeasurementError when the rows are of one pose or one group.
     """
     assert section.hold_out is not None, "a table that holds out rows"
-    related = {name for relation in job.relations for name in relation.targets}
-    kept, held_out = hold_out(data, section.hold_out, keep=related)
+    kept, held_out = hold_out(data, section.hold_out, keep=related_targets(job.relations))
     return held_out if section.use == "validate" else kept
 
 

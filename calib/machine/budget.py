@@ -34,6 +34,7 @@ from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.machine import Layout, Machine, values_at
 from calib.identification.not_seen import likely_widths
 from calib.identification.parameters import Parameter, scales
+from calib.identification.relations import related_targets
 from calib.identification.repeats import Repeats, by_pose
 from calib.identification.set_up_motions import without
 from calib.identification.system import Problem, without_rows
@@ -265,7 +266,7 @@ def _split(fit: Fit, problem: Problem) -> Split:
     sets = problem.measurements
     seen = Counter(name for data in sets for name in data.seen_targets)
     held = {parameter.name.removeprefix("target.").rpartition(".")[0] for parameter in fit.held}
-    related = {name for relation in problem.relations for name in relation.targets}
+    related = related_targets(problem.relations)
     # What has levels of its own is not one noise.
     related |= {name for told in fit.repeats for name in sets[told.measurements].seen_targets}
     joined = {t for t, name in enumerate(sets[0].targets) if seen[name] > 1 or name in held or name in related}

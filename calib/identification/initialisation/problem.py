@@ -22,6 +22,7 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initialise, turned, turned_by
 from calib.identification.machine import Frames, Layout, Machine, values_at
 from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter, ParameterKind
+from calib.identification.relations import related_targets
 from calib.identification.rows import frame_numbers
 from calib.identification.set_ups import SetUp
 from calib.identification.solver import solve
@@ -53,6 +54,7 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
     if any(end.conditions.torque_sigma is not None for data in sets for end in data.ends):
         sets = _with_expected_torques(model, sets)
     _refuse_unturned_tools(model, sets)
+    _refuse_many_relations(model)
     _refuse_unknown_targets(model, sets)
     _refuse_unknown_setups(model, sets)
     if not any(data.kind in IN_INSTRUMENT_FRAME for data in sets) and not any(
@@ -343,6 +345,15 @@ def _with_unshown_tools(parameters: tuple[Parameter, ...], unshown: BoolArray, l
     return tuple(replace(q, weak_prior=UNSHOWN_TOOL_WIDTH, freed=q.weak_prior) if held(q) else q for q in parameters)
 
 
+def _refuse_many_relations(model: ErrorModel) -> None:
+    for count, what, most in (
+        (len(model.relations), "relations", MOST_RELATIONS),
+        (len(related_targets(model.relations)), "targets that relations join", MOST_RELATED),
+    ):
+        if count > most:
+            raise JobError(f"relations: there are {count} {what}; allowed are {most}.")
+
+
 def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> None:
     """Refuse what is known of targets that nobody measured, and relations of the wrong things."""
     found = targets.shapes(sets)
@@ -352,13 +363,6 @@ def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> 
             raise JobError(f"targets: {name!r} does not appear in the measurements, which have {there}.")
         if found[name] == "frame" and not model.targets[name].height_is_known:
             raise JobError(f"targets: {name!r} is a board or camera: give its position and quaternion, not a normal.")
-    related = {name for relation in model.relations for name in relation.targets}
-    for count, what, most in (
-        (len(model.relations), "relations", MOST_RELATIONS),
-        (len(related), "targets that relations join", MOST_RELATED),
-    ):
-        if count > most:
-            raise JobError(f"relations: there are {count} {what}; allowed are {most}.")
     for relation in model.relations:
         shape = "point" if relation.kind == "distance" else "plane"
         a, b = (sets[0].target_links.get(name, "the floor") for name in relation.targets)
