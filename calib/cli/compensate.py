@@ -45,7 +45,7 @@ def compensate(
         from calib.machine.identified import outside_identified
         from calib.machine.model_file import load_machine
         from calib.presentation.console import warning
-        from calib.results.result_file import doubted, not_trusted
+        from calib.results.result_file import doubts_of
     refuse_taken(out)
     with telling.progress(steps=2) as say:
         say("reading the model and the targets")
@@ -53,7 +53,7 @@ def compensate(
         wanted = targets_of.read_targets(targets, model, tool, in_order=in_order)
         matters = targets_of.of_set_up(model, wanted, frame=frame)
         model = model.standing(setup, str(results)) if matters else model.at(setup)
-        idle = (*map(not_trusted, doubted(results)), *targets_of.idle(model, wanted, frame=frame, clamp=clamp))
+        idle = (*doubts_of(results), *targets_of.idle(model, wanted, frame=frame, clamp=clamp))
         say("correcting")
         found = targets_of.corrections(model, wanted, what=what, frame=frame, clamp=clamp)
         write_new(out, targets_of.corrected_csv(model, wanted, found))

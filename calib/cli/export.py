@@ -39,14 +39,14 @@ def export(
         from calib.machine.model_file import load_machine
         from calib.presentation.console import warning
         from calib.results.folder import DH_FILE
-        from calib.results.result_file import doubted, not_trusted
+        from calib.results.result_file import doubts_of
         from calib.robot import dh
     refuse_taken(out)
     with reading_folder(results):
         model = load_machine(results)
         model = model if tool is None else model.of(tool)
         corrected = results / DH_FILE
-        doubts = list(map(not_trusted, doubted(results)))
+        doubts = doubts_of(results)
         table = dh.read_dh(corrected) if to == "dh" and corrected.is_file() else None
     try:
         found = exported(model, to, table)

@@ -27,14 +27,14 @@ def performance(
         from calib.measurement.touches import read_touches
         from calib.presentation.command_tables import performance_sheet
         from calib.presentation.console import warning
-        from calib.results.result_file import doubted, not_trusted
+        from calib.results.result_file import doubts_of
     with telling.progress(steps=1) as say:
         say("reading the model and the touches")
         model = load_machine(results)
         model = model.standing(setup, str(results)) if model.sags_by_set_up else model.at(setup)
         tests = [read_touches(path, model.robot) for path in touches]
         before, after = before_and_after(model, tests, None if probe is None else read_touches(probe, model.robot))
-        doubts = list(map(not_trusted, doubted(results)))
+        doubts = doubts_of(results)
     telling.tell(
         lambda: {"before": before.records(), "after": after.records(), "notes": doubts},
         lambda: [*map(warning, doubts), performance_sheet({"before": before, "after": after})],

@@ -38,7 +38,7 @@ def uncertainty(
         from calib.presentation.console import warning
         from calib.presentation.map_tables import map_csv, map_sheet
         from calib.presentation.sheets import budget_sheet
-        from calib.results.result_file import doubted, not_trusted
+        from calib.results.result_file import doubts_of
     refuse_taken(out)
     with telling.progress(steps=1) as say:
         machine = load_machine(results).standing(setup, str(results))
@@ -55,7 +55,7 @@ def uncertainty(
     outside = outside_identified(machine, found.readings) if machine.robot.terms else ()
     if outside:
         outside = (*outside, "There the uncertainty holds only if the machine's joint terms are the right ones.")
-    doubts = list(map(not_trusted, doubted(results)))
+    doubts = doubts_of(results)
     if out is not None:
         write_new(out, map_csv(found, machine.robot.readings))
     telling.tell(

@@ -58,7 +58,7 @@ def verify(
         from calib.measurement.table import Columns, HeaderError
         from calib.presentation.acceptance_tables import verification_lines, verification_sheet
         from calib.presentation.console import warning
-        from calib.results.result_file import doubted, not_trusted
+        from calib.results.result_file import doubts_of
     with telling.progress(steps=2) as say:
         say("reading the model and the measurements")
         machine = load_machine(results).at(setup)
@@ -89,7 +89,7 @@ def verify(
         # Else a wrong unit would be told as an arm that has changed.
         refuse_findings(table_findings(data, machine.robot.readings, machine.robot.reach))
         left_out = [finding.sentence for finding in unreached(data)]
-        doubts = list(map(not_trusted, doubted(results)))
+        doubts = doubts_of(results)
         say("judging")
         found = judged(
             machine,

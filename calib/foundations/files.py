@@ -76,12 +76,11 @@ def open_inside(folder: Path, name: str, error: type[CalibError], largest: int) 
     """Return the regular file ``name`` in a folder, opened, as :func:`read_inside` reads it: to be sent bit by bit."""
     path = folder / name
     with sentences(path, error):
-        file = os.fdopen(_inside(folder, name, error), "rb")
-        found = os.fstat(file.fileno())
-        if stat.S_ISREG(found.st_mode) and found.st_size <= largest:
-            return file
-        file.close()
-        raise error(f"{path}: is no regular file of up to {largest} bytes.")
+        file, length = _opened(_inside(folder, name, error), path, error)
+        if length > largest:
+            file.close()
+            raise error(f"{path}: is larger than {largest} bytes.")
+        return file
 
 
 def _inside(folder: Path, name: str, error: type[CalibError]) -> int:
@@ -95,14 +94,22 @@ def _inside(folder: Path, name: str, error: type[CalibError]) -> int:
         return os.open(name, _READ | os.O_NOFOLLOW, dir_fd=handle)
 
 
+def _opened(handle: int, path: Path, error: type[CalibError]) -> tuple[BinaryIO, int]:
+    """Return the regular file of a handle and how many bytes it says it has; what has taken its place is closed."""
+    file = os.fdopen(handle, "rb")
+    found = os.fstat(handle)
+    if not stat.S_ISREG(found.st_mode):
+        file.close()
+        raise error(f"{path}: is not a regular file.")
+    return file, found.st_size
+
+
 def _contents(handle: int, path: Path, error: type[CalibError], largest: int) -> bytes:
-    with os.fdopen(handle, "rb") as file:
-        found = os.fstat(handle)
-        if not stat.S_ISREG(found.st_mode):
-            raise error(f"{path}: is not a regular file.")
+    file, length = _opened(handle, path, error)
+    with file:
         # Some files of the system say that they are empty, and others grow: what is read counts as well.
         # A read sets aside all that it may bring, so that it is never asked for more than the next piece.
-        pieces, length = [], found.st_size
+        pieces = []
         if length <= largest:
             length = 0
             while length <= largest and (piece := file.read(_PIECE)):

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from calib.foundations.errors import CalibError, KeptError, OutputError, PoseError
-from calib.foundations.files import open_inside, read_inside, stamp
+from calib.foundations.files import open_inside, stamp
 from calib.foundations.folders import reading_folder
 from calib.foundations.units import MM, UNITS
 from calib.machine.calibrated import CalibratedMachine
@@ -49,7 +49,7 @@ def serve(
     model = load_machine(folder)
     if not os.path.lexists(folder / page):
         raise OutputError(f"{folder}: holds no {page}; run calib calibrate again.")
-    read_inside(folder, page, OutputError, _LARGEST_PAGE)
+    open_inside(folder, page, OutputError, _LARGEST_PAGE).close()
 
     async def run() -> None:
         await _run(folder, model, seen, (page, *others), port, started)

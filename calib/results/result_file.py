@@ -105,6 +105,11 @@ def not_trusted(folder: Path) -> str:
     return f"{folder} is not trusted: see its own report."
 
 
+def doubts_of(folder: Path) -> list[str]:
+    """Return what is to be said of a folder whose results are used: one sentence where they are not to be trusted."""
+    return list(map(not_trusted, doubted(folder)))
+
+
 def robot_errors(folder: Path) -> dict[str, float]:
     """Return the identified parameters of a robot, in SI units, from a folder of results.
 

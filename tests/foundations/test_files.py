@@ -119,7 +119,7 @@ def test_open_inside_follows_no_link_and_opens_nothing_larger(tmp_path: Path) ->
     (tmp_path / "link").symlink_to("a")
     with open_inside(tmp_path, "a", JobError, 3) as file:
         assert file.read() == b"abc"
-    with pytest.raises(JobError, match="is no regular file of up to 2 bytes"):
+    with pytest.raises(JobError, match="is larger than 2 bytes"):
         open_inside(tmp_path, "a", JobError, 2)
     with pytest.raises(JobError, match="is not a regular file"):
         open_inside(tmp_path, "link", JobError, 3)
