@@ -28,6 +28,20 @@ def weight(loss: Loss, t: Array) -> Array:
     return np.asarray(1.0 / np.sqrt(1.0 + u * u) if loss == "soft_l1" else 1.0 / (1.0 + u * u))
 
 
+def squares(loss: Loss, t: Array) -> Array:
+    """Return what rows at distances t >= 0 count as in the sum that is minimised, as t^2 does for an ordinary one.
+
+    It is 2 times the integral of w(s) s from 0 to t.
+    """
+    if loss == "linear":
+        return np.asarray(t * t)
+    c = _TUNING[loss]
+    u = t / c
+    if loss == "huber":
+        return np.asarray(c * c * np.where(u < 1.0, u * u, 2.0 * u - 1.0))
+    return np.asarray(c * c * (2.0 * (np.sqrt(1.0 + u * u) - 1.0) if loss == "soft_l1" else np.log1p(u * u)))
+
+
 def scatter_weight(loss: Loss, t: Array) -> Array:
     """Return the weights of squares in the estimate of the noise: no row adds more than a few ordinary ones do.
 

@@ -315,12 +315,6 @@ class _Point(NamedTuple):
         """Length of the full step, in parameter scales."""
         return self.passed.length
 
-    def at_rest(self, *, slowly: bool) -> bool:
-        """Whether nothing is left to be done; ``slowly``: where the search has come slowly, nothing of significance."""
-        moved = self.length >= _NEGLIGIBLE_STEP or self.gain >= _HARDLY_A_GAIN
-        hardly = slowly and self.gain < _NEGLIGIBLE_GAIN * (1.0 + self.cost(self.noise))
-        return self.noise.settled and (hardly or not moved)
-
     @property
     def gain(self) -> float:
         """By how much the full step should lower the cost."""
@@ -344,11 +338,6 @@ class _Point(NamedTuple):
     def correction(self) -> Array:
         """The step (p,) that the data ask for, what they hardly see staying where it is."""
         return Inverse.of(self.data.held(_HELD * self.noise.prior.hold, np.zeros(len(self.z)))).step
-
-    def cost(self, noise: _Noise) -> float:
-        """Return the sum of squares of data and priors, by some noise."""
-        squares = [np.sum((r / s) ** 2) for r, s in zip(self.evaluation.residuals, noise.sigmas, strict=True)]
-        return float(sum(squares) + np.sum(self.evaluation.relations[:, -1] ** 2)) + noise.prior.cost(self.z)
 
 
 class _Search(NamedTuple):
@@ -394,6 +383,17 @@ class _Search(NamedTuple):
             if np.max(np.abs(np.log(change))) < weights.NEGLIGIBLE_CHANGE_OF_SIGMA:
                 break
         return noise
+
+    def cost(self, at: _Point, noise: _Noise) -> float:
+        """Return the sum of squares of data, as their losses count them, and priors at a point, by some noise."""
+        data = weights.cost(self.problem, noise.variances, at.evaluation.residuals)
+        return data + float(np.sum(at.evaluation.relations[:, -1] ** 2)) + noise.prior.cost(at.z)
+
+    def at_rest(self, at: _Point, *, slowly: bool) -> bool:
+        """Whether nothing is left to be done; ``slowly``: where the search has come slowly, nothing of significance."""
+        moved = at.length >= _NEGLIGIBLE_STEP or at.gain >= _HARDLY_A_GAIN
+        hardly = slowly and at.gain < _NEGLIGIBLE_GAIN * (1.0 + self.cost(at, at.noise))
+        return at.noise.settled and (hardly or not moved)
 
     def _foretold(self, evaluation: Evaluation, noise: _Noise, solved: _Solved) -> tuple[tuple[Array, ...], float]:
         """Return the residuals of every set, as large as the full step leaves them, and its gain (share).
@@ -452,7 +452,7 @@ class _Search(NamedTuple):
         good = tried = accepted(z, self.evaluator(z, weighted_by.sigmas), weighted_by)
         path, damping, failures = [good.passed], 0.0, 0
         for steps in range(_MOST_ROBUST_STEPS if self.problem.robust else _MOST_STEPS):
-            if failures > _MOST_FAILURES or good.at_rest(slowly=slowly(path, failures, steps)):
+            if failures > _MOST_FAILURES or self.at_rest(good, slowly=slowly(path, failures, steps)):
                 break
             noise = good.noise
             if tried is not good:
@@ -466,16 +466,18 @@ class _Search(NamedTuple):
                 continue
             as_before, solved = self._inverted(z, evaluation, noise._replace(factors=np.ones(len(self.fixed))))
             trial = _Point(z, evaluation, noise, as_before, *solved)
-            cost, before = trial.cost(noise), good.cost(noise)
+            cost, before = self.cost(trial, noise), self.cost(good, noise)
             # Where a motion of the whole set-up is left out of the Jacobian, steps do not follow the cost alone.
             shorter = trial.length < _SHORTER * good.length and cost < _HARDLY_MORE * before
-            if cost <= (1.0 + _SAME_COST) * before or shorter or trial.at_rest(slowly=False):
+            if cost <= (1.0 + _SAME_COST) * before or shorter or self.at_rest(trial, slowly=False):
                 good = tried = accepted(z, evaluation, noise)
                 # Steps tell something of each other only while rows are weighted alike.
                 alike = np.max(np.abs(np.log(good.noise.factors))) < _ALIKE
-                path = [*path[-_REMEMBERED:], good.passed] if alike and not self.problem.robust else [good.passed]
+                path = [*path[-_REMEMBERED:], good.passed] if alike else [good.passed]
                 damping = damping / 10.0 if damping > _LEAST_DAMPING else 0.0
-            elif tried is good or cost < _CLEARLY_LESS * tried.cost(noise):
+            elif tried is good and not damping and _slow(path):  # what is foretold of steps may fail where one does not
+                path = [good.passed]
+            elif tried is good or cost < _CLEARLY_LESS * self.cost(tried, noise):
                 tried = trial
             else:
                 if not good.noise.settled:  # weighted by what it leaves itself, the point may be the end
@@ -484,7 +486,7 @@ class _Search(NamedTuple):
                 path = [good.passed]
         # Where nothing lowers the cost, and little is foretold to, the search has come as far as rounding lets it.
         stuck = failures > _MOST_FAILURES and good.noise.settled and good.gain < _HARDLY_A_GAIN
-        return good, stuck or good.at_rest(slowly=slowly(path, failures, steps))
+        return good, stuck or self.at_rest(good, slowly=slowly(path, failures, steps))
 
 
 class _Passed(NamedTuple):

@@ -38,6 +38,17 @@ def sigmas_of(
     )
 
 
+def cost(problem: LeastSquares, variances: Sequence[float], r: Sequence[Array]) -> float:
+    """Return the sum of squares of the residuals ``r`` (N, d) of every set, in a search, as their losses count them."""
+    plain = _plain_sigmas(problem, variances, search=True)
+    return sum(
+        float(np.sum((own / sigma) ** 2))
+        if loss == "linear"
+        else own.shape[1] * float(np.sum(losses.squares(loss, _row_distances(sigma, own))))
+        for loss, sigma, own in zip(problem.losses, plain, r, strict=True)
+    )
+
+
 def _row_distances(sigma: Array, residual: Array) -> Array:
     """Return how far off (N,) the rows of a set are, 1 for an ordinary one."""
     return np.asarray(np.sqrt(np.mean((residual / sigma) ** 2, axis=1)))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.identification.losses import Loss, scatter_weight, shrinkage, weight
+from calib.identification.losses import Loss, scatter_weight, shrinkage, squares, weight
 from tests.support import machines, touching
 
 # rho(z) of z = (t / c)^2, as in scipy.optimize.least_squares, and c.
@@ -25,6 +25,13 @@ def test_a_weight_is_the_slope_of_the_loss(loss: Loss) -> None:
 
 
 @pytest.mark.parametrize("loss", RHO)
+def test_squares_are_those_of_the_loss(loss: Loss) -> None:
+    rho, c = RHO[loss]
+    t = np.array([0.0, 0.1, 0.7, 1.2, 1.5, 2.3, 4.0, 30.0, 1e6])
+    assert np.allclose(squares(loss, t), c**2 * rho((t / c) ** 2), rtol=1e-9)
+
+
+@pytest.mark.parametrize("loss", RHO)
 def test_efficiency_at_the_normal_is_95_percent(loss: Loss) -> None:
     """That of a location: (E psi')^2 / E psi^2, psi(t) = w(t) t, by the trapezoidal rule."""
     t = np.linspace(-12.0, 12.0, 240_001)
@@ -36,6 +43,7 @@ def test_efficiency_at_the_normal_is_95_percent(loss: Loss) -> None:
 
 def test_squares_weigh_all_alike() -> None:
     assert np.array_equal(weight("linear", np.array([0.0, 1.0, 1e6])), np.ones(3))
+    assert np.array_equal(squares("linear", np.array([0.0, 3.0])), [0.0, 9.0])
     assert shrinkage("linear", 3) == 1.0
 
 
@@ -62,3 +70,15 @@ def test_rows_that_weigh_less_beside_stated_priors_come_to_rest() -> None:
     model = calib.error_model(made.robot, offsets="all", placements="all", priors=priors)
     fit = calib.identify(model, data, losses=["linear", "huber"])
     assert (fit.converged, fit.narrowed) == (True, 1.0)
+
+
+@pytest.mark.parametrize("loss", RHO)
+def test_weights_settle_among_points_that_no_arm_has_reached(loss: Loss) -> None:
+    """Where most rows lie off, full steps by the last weights are short; what they foretell of each other is used."""
+    made = touching.lab(4, noise=3e-5, base=machines.pose((0.8, -0.4, 0.2), (0.1, 0.2, -1.2)))
+    data = made.positions(400)
+    nowhere = np.random.default_rng(0).uniform(-0.9, 0.9, (len(data), 3))
+    data = calib.positions(made.robot, data.readings, nowhere, sigma=3e-5)
+    fit = calib.identify(calib.error_model(made.robot, offsets="all", placements="all"), data, losses=[loss])
+    assert fit.converged
+    assert fit.evaluations < 200
