@@ -6,7 +6,6 @@ files of his own into a folder that he has named: what was neither dropped nor m
 
 import contextlib
 import errno
-import fcntl
 import io
 import json
 import os
@@ -23,6 +22,7 @@ from typing import IO, Literal
 
 from calib.foundations.errors import OutputError
 from calib.foundations.files import DAMAGED, LARGEST_JSON, read_inside, sentences, stamp, write_atomically
+from calib.foundations.folders import alone_with
 from calib.foundations.words import shown
 from calib.measurement.formats.images import ENDINGS
 from calib.results.result_file import RESULT_FILE
@@ -122,10 +122,9 @@ def _alone_in(folder: Path) -> Iterator[None]:
     with sentences(folder, OutputError, "files cannot be kept in it"):
         handle = os.open(folder / _SERVED, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not alone_with(handle):
+            raise OutputError(f"{folder}: another page is served from it; end that one, or choose another folder.")
         yield
-    except BlockingIOError as e:
-        raise OutputError(f"{folder}: another page is served from it; end that one, or choose another folder.") from e
     finally:
         os.close(handle)
 

@@ -61,7 +61,7 @@ def cell(
             "file": str(out),
             "scene": None if scene is None else str(scene),
             **found.contents(),
-            "not_trusted": list(map(str, unsure)),
+            "notes": list(map(not_trusted, unsure)),
         },
         lambda: [
             *(warning(not_trusted(folder)) for folder in unsure),

@@ -405,6 +405,14 @@ def _locked(place: _Place, kind: int, patience: float = _PATIENCE) -> Iterator[N
             fcntl.flock(place.above, fcntl.LOCK_UN)
 
 
+def alone_with(handle: int) -> bool:
+    """Lock an open file until it is closed; return False where another process holds it.
+
+    Where a file system knows no locks, nobody can be told from anybody, and it is True.
+    """
+    return _had(handle, fcntl.LOCK_EX) is not None
+
+
 def _had(handle: int, kind: int) -> bool | None:
     """Return whether a lock was got, or None where another process holds it."""
     try:

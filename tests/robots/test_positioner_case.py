@@ -162,7 +162,7 @@ def test_cell_says_how_sure_the_place_is(results: Path, tmp_path: Path) -> None:
     assert place["sigma_orientation"] == pytest.approx(np.sqrt(variances[3:].sum()))
     # Noise of 0.1 mm of 40 touches; and no doubt that is a convention of frames on axes.
     assert 0.02e-3 < place["sigma_position"] < 0.2e-3
-    assert (place["undetermined"], told["placed_in"], told["not_trusted"]) == ([], "arm", [])
+    assert (place["undetermined"], told["placed_in"], told["notes"]) == ([], "arm", [])
 
 
 def test_whose_frame_it_is_is_known(results: Path, tmp_path: Path) -> None:
