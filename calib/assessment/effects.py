@@ -25,6 +25,7 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.chance import autocorrelations, exceeded
 from calib.measurement.checks import resolutions
 from calib.measurement.measurements import numbered
+from calib.measurement.poses import ONE_POSE
 from calib.robot.robot import Robot
 
 # Fewer blocks than these give no standard error.
@@ -245,6 +246,42 @@ def _accelerations(part: Stretch) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         found = np.gradient(part.rates, times, axis=0)
     return np.asarray(np.where((steps > 0.0) & (steps < _GAP * part.step), found.T, 0.0).T)
+
+
+def unsettled(parts: Sequence[Stretch], C: Array) -> Effect:
+    """Return how far joints had still to go when they were read, in rad or m of the one that moved most.
+
+    Drives brake together and come to rest at once: what is left is in proportion to how far each has come since the
+    pose before, and of the farthest it is alike from pose to pose. Below zero where they were read at rest, and the
+    instrument measured before. No effect of rows that are neighbours in no table, of streams, of kinds with two ends;
+    nor where the sides from which joints came explain more, as gaps of gears do.
+    """
+    usable = [part for part in parts if part.data.other is None and not np.isfinite(part.step)]
+    moves = [_moves(part) for part in usable]
+    farthest = [np.max(np.abs(move), axis=1, keepdims=True, initial=0.0) for move in moves]
+    shares = [move / np.where(far > 0.0, far, 1.0) for move, far in zip(moves, farthest, strict=True)]
+    left = [part.by_joint * share[:, None, :] for part, share in zip(usable, shares, strict=True)]
+    sides = [part.by_joint * np.sign(move)[:, None, :] for part, move in zip(usable, moves, strict=True)]
+    together = [motion.sum(axis=2) for motion in left]
+    if not usable or _gained(usable, [own[:, :, None] for own in together], C) <= _gained(usable, sides, C):
+        return NO_EFFECT
+    return effect(usable, together, C)
+
+
+def _gained(parts: Sequence[Stretch], motions: Sequence[Array], C: Array) -> float:
+    """Return by how much ``motions`` (n, d, k) of all rows of every part would lower the sum of squares."""
+    D = np.concatenate([motion.reshape(-1, motion.shape[2]) for motion in motions])
+    J = np.concatenate([part.J.reshape(-1, len(C)) for part in parts])
+    return float(score_test(D.T @ D, D.T @ J, D.T @ np.concatenate([part.r.ravel() for part in parts]), C).gain)
+
+
+def _moves(part: Stretch) -> Array:
+    """Return how far the readings (n, k) of rows have come from the pose before; 0 where that is in no line before."""
+    lines = part.data.lines[part.row.astype(np.intp)]
+    new = np.concatenate([[True], np.any(np.abs(np.diff(part.values, axis=0)) > ONE_POSE, axis=1)])
+    first = np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))
+    follows = (first > 0) & (lines[first] - lines[first - 1] == 1)
+    return np.asarray(np.where(follows[:, None], part.values[first] - part.values[first - 1], 0.0))
 
 
 class Score(NamedTuple):

@@ -13,7 +13,19 @@ import numpy as np
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.checks.shown_range import shown_range
 from calib.assessment.control import doubt, names_of_mirrored, unchecked
-from calib.assessment.effects import apart, delay, drifts, elsewhere, gains, ratios, rounding, steps, strains, timing
+from calib.assessment.effects import (
+    apart,
+    delay,
+    drifts,
+    elsewhere,
+    gains,
+    ratios,
+    rounding,
+    steps,
+    strains,
+    timing,
+    unsettled,
+)
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.mixed_machines import mixed_machines
@@ -71,6 +83,7 @@ def verdict(
             of_rows.drift(drifts(poses, C), fit),
             of_rows.late(*delay(poses, C)),
             of_rows.timing(timing(poses, C)),
+            of_rows.at_rest(unsettled(parts, C)),
             of_rows.gear(gains(poses, C), ratios(poses, C), fit),
             of_rows.axes(strains(poses, C)),
             of_rows.resolution(rounding(parts, fit.model.robot), fit),

@@ -56,6 +56,7 @@ Checks were made for sessions that had been trusted:
 * "one machine", after the first ten later situations;
 * its search for three and four machines, "axes" and "resolution", after the ten that followed;
 * "timing", after those of streams;
+* "at rest", after [a real arm](irb120.md) that was read while it braked;
 * "drift" of joints, of the tool and of the arm's length, after an arm that warmed up was trusted.
 
 The limits of size of "axes", of "resolution" and of the search for more machines were chosen by judgement; no sound

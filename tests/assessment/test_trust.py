@@ -22,6 +22,7 @@ from calib.assessment.effects import (
     steps,
     strains,
     timing,
+    unsettled,
 )
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
@@ -101,7 +102,7 @@ def failed(found: calib.Calibration) -> set[str]:
 def test_a_sound_calibration_passes_all_checks(cell: Cell, fit: calib.Fit) -> None:
     found = calib.assess(fit, cell.measured(cell.draw(20)))
     assert (found.trusted, found.doubts, failed(found)) == (True, (), set())
-    assert len({check.name for check in found.checks}) == len(found.checks) == 27
+    assert len({check.name for check in found.checks}) == len(found.checks) == 28
     assert found.shown[0].startswith("Shown for the measured range: ")
     alone = calib.assess(fit)
     assert alone.trusted
@@ -246,6 +247,44 @@ def test_a_delay_is_seen_of_angles_that_are_told_within_a_turn(cell: Cell) -> No
     )
     assert within.value == pytest.approx(whole.value, rel=0.05)
     assert within.sigma == pytest.approx(whole.sigma, rel=0.2)
+
+
+def braking(q: Array, left: float) -> Array:
+    """Where joints are before they reach q (n, k), one row after the other: the farthest has ``left`` to go."""
+    moved = np.diff(q, axis=0, prepend=q[:1])
+    return np.asarray(q - left * moved / np.maximum(np.abs(moved).max(axis=1, keepdims=True), 1e-9))
+
+
+@pytest.mark.parametrize("left", [1e-3, -1e-3])
+def test_an_arm_that_was_read_before_it_stood(cell: Cell, left: float) -> None:
+    # Three tools at every pose; how far it had still to go differs from pose to pose.
+    q = cell.draw(80)
+    before = braking(q, left * cell.rng.uniform(0.3, 1.7, (80, 1)))
+    found = unsettled(*cell.effects(cell.measured(np.repeat(q, 3, axis=0), np.repeat(before, 3, axis=0))))
+    assert found.value == pytest.approx(left, rel=0.25)
+    check = of_rows.at_rest(found)
+    assert not check.passed
+    assert ("readings were taken before" in check.sentence) == (left > 0.0)
+    assert ("poses were measured before" in check.sentence) == (left < 0.0)
+
+
+def test_nothing_tells_whether_it_stood_where_rows_are_in_no_order(cell: Cell) -> None:
+    q = cell.draw(120)
+    data = cell.measured(q, braking(q, 1e-3))
+    assert not of_rows.at_rest(unsettled(*cell.effects(data))).passed
+    mixed = data.subset(cell.rng.permutation(120))
+    assert of_rows.at_rest(unsettled(*cell.effects(mixed))).passed
+    # Of rows that were held out the next ones do not know where the arm came from.
+    every_other = data.subset(np.arange(0, 120, 2))
+    assert np.isnan(unsettled(*cell.effects(every_other)).value)
+
+
+def test_gaps_of_gears_and_sound_rows_are_no_arm_that_has_not_stood(cell: Cell) -> None:
+    q = cell.draw(120)
+    gaps = np.sign(np.diff(q, axis=0, prepend=q[:1])) * np.array([1.0, 0.2, 0.6, 0.1, 0.8, 0.3]) * 1e-3
+    for read in (q, q - gaps, q - 1e-3 * cell.rng.normal(size=q.shape)):
+        assert of_rows.at_rest(unsettled(*cell.effects(cell.measured(q, read)))).passed
+    assert of_rows.at_rest(unsettled((), np.eye(1))).passed
 
 
 def test_a_joint_that_is_late_by_itself_and_readings_that_are_means(cell: Cell) -> None:

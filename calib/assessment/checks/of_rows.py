@@ -33,6 +33,8 @@ _WHY_IT_DRIFTS = {
 LATE, GEAR, SURE, SEEN = 0.2, 0.01, 6.0, 1.0
 # Of 27 sound sessions with times the largest was 0.17.
 SEEN_IN_TIME = 0.3
+# How far joints have still to go differs from pose to pose, and only what is alike is seen.
+SEEN_AT_REST = 0.5
 # The share by which one axis of an instrument may be longer than another.
 STRAIN = 2e-3
 # Rounding of a share of the reach that is this share of what remains.
@@ -118,6 +120,20 @@ def late(found: Effect, step: float = NOTHING) -> Check:
     said = f"Measurements are {value * factor:.2g} +- {found.sigma * factor:.2g} {unit} {how} than their readings"
     cure = 'let a clock be found, clock = "free", or align the times of both' if in_time else "align the times of both"
     return Check.judged("delay", value, limit, said, f": {cure}.")
+
+
+def at_rest(found: Effect) -> Check:
+    """Whether the arm stood when it was read and measured: ``found``, how far its farthest joint had still to go."""
+    if not (abs(found.t) > SURE and found.size > SEEN_AT_REST):
+        return Check.idle("at rest", SEEN_AT_REST, "The arm seems to have stood still in every row.")
+    when = (
+        "readings were taken before the arm had come to rest"
+        if found.value > 0.0
+        else "poses were measured before the arm had come to rest where its readings say"
+    )
+    said = f"It seems that {when}: residuals are {found.size:.2g} times their scatter along the motion from row to row"
+    cure = ": wait before you read and measure, or take the commanded positions."
+    return Check.judged("at rest", found.size, SEEN_AT_REST, said, cure)
 
 
 def timing(found: Timing) -> Check:
