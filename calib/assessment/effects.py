@@ -254,7 +254,7 @@ def unsettled(parts: Sequence[Stretch], C: Array) -> Effect:
     Drives brake together and come to rest at once: what is left is in proportion to how far each has come since the
     pose before, and of the farthest it is alike from pose to pose. Below zero where they were read at rest, and the
     instrument measured before. No effect of rows that are neighbours in no table, of streams, of kinds with two ends;
-    nor where the sides from which joints came explain more, as gaps of gears do.
+    nor where the sides from which joints came explain more, as gaps of gears do, or a delay.
     """
     usable = [part for part in parts if part.data.other is None and not np.isfinite(part.step)]
     moves = [_moves(part) for part in usable]
@@ -263,9 +263,9 @@ def unsettled(parts: Sequence[Stretch], C: Array) -> Effect:
     left = [part.by_joint * share[:, None, :] for part, share in zip(usable, shares, strict=True)]
     sides = [part.by_joint * np.sign(move)[:, None, :] for part, move in zip(usable, moves, strict=True)]
     together = [motion.sum(axis=2) for motion in left]
-    if not usable or _gained(usable, [own[:, :, None] for own in together], C) <= _gained(usable, sides, C):
-        return NO_EFFECT
-    return effect(usable, together, C)
+    late = [np.einsum("ndk,nk->nd", part.by_joint, part.rates)[:, :, None] for part in usable]
+    gained = [_gained(usable, motions, C) for motions in ([own[:, :, None] for own in together], sides, late) if usable]
+    return effect(usable, together, C) if gained and gained[0] > max(gained[1:]) else NO_EFFECT
 
 
 def _gained(parts: Sequence[Stretch], motions: Sequence[Array], C: Array) -> float:
