@@ -17,6 +17,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 import numpy as np
 import numpy.typing as npt
 
+from calib.foundations.arrays import in_float64
 from calib.foundations.errors import JobError
 from calib.foundations.words import LONGEST_SHOWN, shortened, shown
 
@@ -43,8 +44,7 @@ def checked(function: Callable[_P, _R]) -> Callable[_P, _R]:
             hint = signature.parameters[name].annotation
             if not _test(hint)(value):
                 raise _other(value, hint, f"{function.__name__}: {name}")
-            if isinstance(value, np.generic):  # NumPy's numbers run over, and no file takes them
-                given.arguments[name] = value.item()
+            given.arguments[name] = _owner(hint)(value)
         return function(*given.args, **given.kwargs)
 
     return call
@@ -53,15 +53,15 @@ def checked(function: Callable[_P, _R]) -> Callable[_P, _R]:
 def own_fields(made: Any) -> None:
     """Make the fields of a frozen dataclass its own; raise JobError for one that is not of the kind of its annotation.
 
-    Lists become tuples, arrays read-only copies, or tuples where no array is meant, and NumPy's numbers Python's own.
-    Whoever made it may change theirs later, and what was asked of it before and after would not agree.
+    Lists become tuples, arrays read-only copies, or tuples where no array is meant, and numbers of all kinds Python's
+    own. Whoever made it may change theirs later, and what was asked of it before and after would not agree.
     """
     cls: Any = type(made)
     for name, hint, fits, takes_arrays in _fields(cls):
         value = getattr(made, name)
         if not fits(value):
             raise _other(value, hint, f"{cls.__name__}: {name}")
-        if (own := _owned(value, takes_arrays)) is not value:
+        if (own := _owned(_owner(hint)(value), takes_arrays)) is not value:
             object.__setattr__(made, name, own)
 
 
@@ -112,7 +112,7 @@ def _takes_arrays(hint: Any) -> bool:
 
 
 def _other(value: object, hint: Any, where: str) -> JobError:
-    return JobError(f"{where} is {_told(value)}; needs {_joined(_needed(hint))}.")
+    return JobError(f"{where} is {told(value)}; needs {_joined(_needed(hint))}.")
 
 
 # ---- does it fit?
@@ -164,7 +164,7 @@ def _test_of_generic(origin: Any, inner: tuple[Any, ...]) -> _Test:
         alike, tests = len(inner) == 2 and inner[1] is Ellipsis, tuple(map(_test, inner))
 
         def of_tuple(value: Any) -> bool:
-            own = None if _is_set(value) else _elements(value)
+            own = None if _is_set(value) else elements(value)
             if own is None or not (alike or len(own) == len(tests)):
                 return False
             return all(test(one) for one, test in zip(own, tests[:1] * len(own) if alike else tests, strict=True))
@@ -174,14 +174,14 @@ def _test_of_generic(origin: Any, inner: tuple[Any, ...]) -> _Test:
         of_one, in_order = _test(inner[0]), origin in _IN_ORDER
 
         def of_sequence(value: Any) -> bool:
-            own = None if in_order and _is_set(value) else _elements(value)
+            own = None if in_order and _is_set(value) else elements(value)
             return own is not None and all(map(of_one, own))
 
         return of_sequence
     return lambda value: isinstance(value, origin)
 
 
-def _elements(value: Any) -> list[Any] | None:
+def elements(value: Any) -> list[Any] | None:
     """Return what is in a list or what serves as one; None of a text, a mapping, or what is no collection."""
     if isinstance(value, str | bytes | abc.Mapping) or not isinstance(value, abc.Collection):
         return None
@@ -204,17 +204,17 @@ def _is_array_like(hint: Any) -> bool:
 
 def _is_numbers(value: Any) -> bool:
     try:
-        return value is not None and not _is_masked(value) and np.asarray(value).dtype.kind in _STANDS_FOR["f"]
+        return value is not None and not is_masked(value) and np.asarray(value).dtype.kind in _STANDS_FOR["f"]
     except (TypeError, ValueError):  # lists of several lengths
         return False
 
 
 def _is_odd(value: object) -> bool:
     """Tell whether an array counts or slices otherwise than others; a matrix keeps two dimensions in all it gives."""
-    return _is_masked(value) or isinstance(value, np.matrix)
+    return is_masked(value) or isinstance(value, np.matrix)
 
 
-def _is_masked(value: object) -> bool:
+def is_masked(value: object) -> bool:
     """Tell whether an array says that some of its numbers are none; nobody here would listen."""
     # Where nobody has loaded them, there are none: to load them takes a fifth of what all of NumPy does.
     return "numpy.ma" in sys.modules and isinstance(value, np.ma.MaskedArray)
@@ -224,15 +224,64 @@ def _is_float(value: Real) -> bool:
     """Tell whether a float can hold a number; infinity and NaN it can."""
     try:
         float(value)
-    except OverflowError:
+    except (OverflowError, TypeError):  # a span of time, which NumPy counts among its whole numbers
         return False
     return True
+
+
+# ---- which number it is
+
+
+@functools.cache
+def _owner(hint: Any) -> Callable[[Any], Any]:
+    """Return what makes of a value that fits a hint the number, or the array of float64, that the hint names.
+
+    Others run over (those of NumPy), are refused by NumPy's mathematics (fractions, half and long floats) or by files.
+    """
+    if hint is float:
+        return float
+    if hint is int:
+        return int
+    if hint is bool:
+        return bool
+    if hint in (str, Any, object, inspect.Parameter.empty):
+        return _of_python
+    if _is_array_like(hint):
+        return lambda value: None if value is None else in_float64(np.asarray(value))
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        ways = tuple((_test(one), _owner(one)) for one in inner)
+        if all(own is _as_it_is for _fits, own in ways):
+            return _as_it_is
+        return lambda value: next(own for fits, own in ways if fits(value))(value)
+    if origin is np.ndarray:
+        return in_float64 if np.dtype(get_args(inner[1])[0]) == np.float64 else _as_it_is
+    if origin is abc.Mapping:
+        of_item = _owner(inner[1])
+        if of_item in (_as_it_is, _of_python):  # whoever gave it may see it change
+            return _as_it_is
+        return lambda value: {key: of_item(item) for key, item in value.items()}
+    if origin is tuple and inner[1:] != (Ellipsis,):
+        each = tuple(map(_owner, inner))
+        return lambda value: tuple(own(one) for own, one in zip(each, value, strict=True))
+    if origin is tuple or origin in _SEQUENCES:
+        of_one = _owner(inner[0])
+        return _as_it_is if of_one in (_as_it_is, _of_python) else lambda value: tuple(map(of_one, value))
+    return _as_it_is
+
+
+def _as_it_is(value: Any) -> Any:
+    return value
+
+
+def _of_python(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
 
 
 # ---- words
 
 
-def _told(value: object) -> str:
+def told(value: object) -> str:
     """Return what was given, in a few words of one line: its value where that is short, else its kind."""
     simple = bool, float, int, str, bytes, NoneType
     if isinstance(value, str):
@@ -249,7 +298,7 @@ def _told(value: object) -> str:
     if isinstance(value, int):
         return f"a whole number of {value.bit_length()} bits, too large"
     if isinstance(value, np.ndarray):
-        kind = "a masked array" if _is_masked(value) else "a matrix" if _is_odd(value) else "an array"
+        kind = "a masked array" if is_masked(value) else "a matrix" if _is_odd(value) else "an array"
         return f"{kind} of {value.dtype}"
     if isinstance(value, list | tuple):
         return shortened(f"a {name} of {', '.join(dict.fromkeys(type(one).__name__ for one in value))}")

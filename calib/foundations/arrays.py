@@ -20,6 +20,12 @@ def read_only(values: npt.ArrayLike) -> Array:
     return copy
 
 
+def in_float64(values: npt.NDArray[Any]) -> Array:
+    """Return numbers as float64; a longer float beyond its range becomes infinite without a warning."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float64, copy=False)
+
+
 def read_only_view(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return a view of ``values`` that cannot be written through."""
     view = values.view()

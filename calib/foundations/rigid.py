@@ -203,17 +203,17 @@ def rotation_of_quaternion(q: Array) -> Array:
     return np.asarray(np.eye(3) + 2.0 * q[..., :1, None] * K + 2.0 * (K @ K))
 
 
-def are_placements(T: Array) -> BoolArray:
+def are_placements(T: Array, within: float = 1e-6) -> BoolArray:
     """Return which of N matrices (N, 4, 4) are placements: a rotation, a position, and a last row 0 0 0 1."""
     finite, last = np.isfinite(T).all(axis=(1, 2)), (T[:, 3] == np.eye(4)[3]).all(axis=1)
-    return np.asarray(are_rotations(T[:, :3, :3]) & finite & last)
+    return np.asarray(are_rotations(T[:, :3, :3], within) & finite & last)
 
 
-def are_rotations(R: Array) -> BoolArray:
-    """Return which of N matrices (N, 3, 3) are rotations, to 1e-6 in every entry of R^T R."""
+def are_rotations(R: Array, within: float = 1e-6) -> BoolArray:
+    """Return which of N matrices (N, 3, 3) are rotations, to ``within`` in every entry of R^T R."""
     # No entry of a rotation is beyond 1; what is would overflow, and a comparison with nan is false.
     R = np.where((np.abs(R) < 2.0).all(axis=(1, 2), keepdims=True), R, 0.0)
-    orthogonal = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2)) < 1e-6
+    orthogonal = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2)) < within
     return np.asarray(orthogonal & (np.linalg.det(R) > 0.0))
 
 

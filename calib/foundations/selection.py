@@ -1,9 +1,10 @@
 """Names that a user chooses: "all", "none", or names and globs of what there is."""
 
 import fnmatch
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Literal, cast
+from collections.abc import Collection, Sequence
+from typing import Literal
 
+from calib.foundations.arguments import elements, told
 from calib.foundations.errors import JobError
 from calib.foundations.words import near
 
@@ -31,9 +32,8 @@ def select(selection: object, names: Sequence[str], what: str, *words: str) -> l
 
 def listed_names(selection: object, what: str, *words: str) -> list[str]:
     """Return a list of names as it is given. Raises JobError for anything else, with the words that would do."""
-    listed = isinstance(selection, Iterable) and not isinstance(selection, str | Mapping)
-    names = list(cast(Iterable[str], selection)) if listed else []
-    if not listed or not all(isinstance(name, str) for name in names):
+    names = elements(selection)
+    if names is None or not all(isinstance(name, str) for name in names):
         allowed = ", ".join(f'"{word}"' for word in (*words, "all", "none"))
-        raise JobError(f"{what}: {selection!r} is not {allowed} or a list of names.")
+        raise JobError(f"{what}: {told(selection)} is not {allowed} or a list of names.")
     return names

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
-from calib.foundations.arguments import checked, own_fields
+from calib.foundations.arguments import checked, own_fields, told
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, RobotError
@@ -317,7 +317,7 @@ def _chosen_terms(robot: Robot, terms: Mapping[str, object] | Sequence[JointTerm
             if key not in known:
                 raise JobError(f"terms: there are no {key!r}; allowed are {', '.join(known)}.")
             if key in options and not options[key].holds(value):
-                raise JobError(f"{key}: {value!r} is not {options[key].what}.")
+                raise JobError(f"{key}: {told(value)} is not {options[key].what}.")
         of = parts(robot)
         return ordered(robot, (t for kind in KINDS for t in kind.chosen(terms.get(kind.key, "none"), of, terms)))
     given = tuple(terms)
@@ -416,13 +416,7 @@ def _given_pose(value: npt.ArrayLike, where: str) -> Array:
         array = np.zeros(0)
     if array.shape == (3,) and np.all(np.isfinite(array)):
         array = rigid.translation(array)
-    if array.shape != (4, 4) or not np.all(np.isfinite(array)) or not _rigid(array):
+    if array.shape != (4, 4) or not rigid.are_placements(array[None])[0]:
         raise JobError(f"{where}: needs a point (3,) in m or a rigid placement (4, 4).")
     refuse_beyond(array[:3, 3], "position, station, point", where)
     return read_only(array)
-
-
-def _rigid(T: Array) -> bool:
-    R = T[:3, :3]
-    turns = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
-    return bool(turns and np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0)))

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from calib.foundations.arguments import own_fields
-from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
+from calib.foundations.arguments import is_masked, own_fields, told
+from calib.foundations.arrays import Array, BoolArray, IntArray, in_float64, read_only_view
 from calib.foundations.csv_text import without_marks
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
@@ -263,7 +263,7 @@ def table_from_arrays(
 
     Raises MeasurementError as :func:`table_from_frame` does.
     """
-    data = [np.asarray(values) for values in arrays.values()]
+    data = [_column(values, f"{where}: column {shown(title)}") for title, values in arrays.items()]
     shapes = {values.shape for values in data}
     if len(shapes) > 1 or any(len(shape) != 1 for shape in shapes):
         listed = ", ".join(f"{title!r} {values.shape}" for title, values in zip(arrays, data, strict=True))
@@ -282,6 +282,15 @@ def table_from_arrays(
         if read
     ]
     return _whole([heading for heading in header if heading.read], values, rows, where, chosen)
+
+
+def _column(values: npt.ArrayLike, where: str) -> npt.NDArray[Any]:
+    if is_masked(values):  # whose numbers behind the mask are not told from others
+        raise MeasurementError(f"{where} is {told(values)}; leave its rows out, or give them a number.")
+    try:
+        return np.asarray(values)
+    except ValueError as error:  # lists of several lengths
+        raise MeasurementError(f"{where} is {told(values)}; needs one value for each row.") from error
 
 
 def _whole(
@@ -439,7 +448,7 @@ def _unit(name: str, symbol: str | None) -> Unit | None:
 
 def _si(values: Sequence[str] | npt.NDArray[Any], unit: Unit, name: str, place: _Place) -> Array:
     if isinstance(values, np.ndarray) and values.dtype.kind in "iuf":
-        numbers = values.astype(np.float64)
+        numbers = in_float64(values)
     else:
         # Objects of a frame pass the same gate as the cells of a file.
         numbers = _parsed(values if isinstance(values, tuple) else [str(value) for value in values], name, place)

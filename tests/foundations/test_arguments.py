@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -351,6 +352,91 @@ def test_numbers_of_numpy_become_those_of_python() -> None:
     assert type(term.order) is int
     payload = calib.measuring.Payload(np.float32(2.0), np.array([0.0, 0.0, 0.1]))  # type: ignore[arg-type]
     assert payload == calib.measuring.Payload(2.0, (0.0, 0.0, 0.1))
+
+
+_HALF, _LONG = np.float16, np.longdouble
+
+
+@pytest.mark.parametrize(
+    ("make", "plain"),
+    [
+        (lambda given: calib.Priors(length=given), Fraction(1, 4)),
+        (lambda given: calib.measuring.Payload(given, [given, 0, given]), Fraction(1, 4)),
+        (lambda given: calib.dh.DhRow("j", "revolute", given, 0, 0, 0), Fraction(1, 4)),
+        (lambda given: calib.dh.DhRow("j", "revolute", given, 0, 0, 0), 4),
+        (lambda given: calib.planning.Sight(facing=[given, given, given]), Fraction(1, 4)),
+        (lambda given: calib.Coupling("a", {"b": given}), _LONG(0.25)),
+        (lambda given: calib.measuring.LaserTracker(given, 0, [given, 0, 0]), _HALF(0.25)),
+    ],
+)
+def test_numbers_of_every_kind_become_those_of_python(make: Callable[[Any], object], plain: Any) -> None:
+    made, meant = make(plain), make(float(plain))
+    assert (made, repr(made)) == (meant, repr(meant))
+
+
+def test_numbers_that_are_none_are_sentences() -> None:
+    for given, said in (
+        (np.timedelta64(3, "s"), "needs a number"),
+        (_LONG("1e4000"), "inf"),
+        (Fraction(1, 10**400), "0.0 is not a positive number"),
+    ):
+        with pytest.raises(JobError, match=said):
+            calib.Priors(length=given)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.longdouble])
+def test_arrays_of_every_kind_of_numbers_become_those_of_float64(kind: Any) -> None:
+    robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+    readings = np.array([[0.5, -0.25, 0.125, 0.0, 0.5, 1.0]])
+    given, plain = (
+        calib.CalibratedMachine(
+            robot,
+            calib.Deviations(np.zeros((len(robot.chain), 6), kind), np.full(6, 0.125, kind)),
+            np.eye(4, dtype=kind),
+            {"tool": np.eye(4, dtype=kind)},
+        ).predict(readings.astype(kind))
+        for kind in (kind, np.float64)
+    )
+    np.testing.assert_array_equal(given, plain)
+    calib.measuring.Target(np.eye(4, dtype=kind))
+    calib.measuring.SetUp(np.eye(4, dtype=kind))
+    calib.dh.DhTable("standard", (calib.dh.DhRow("j", "revolute", 0.1, 0.2, 0.0, 0.0),), np.eye(4, dtype=kind))
+    beyond = readings.astype(_LONG)
+    beyond[0, 0] = _LONG("1e4000")
+    with pytest.raises(calib.CalibError):
+        calib.positions(robot, beyond, np.zeros((1, 3)))
+
+
+def test_placements_of_huge_numbers_are_sentences() -> None:
+    huge = np.eye(4)
+    huge[0, 1] = 1e308
+    with pytest.raises(calib.CalibError, match="needs a point"):
+        calib.Known(base=huge)
+    with pytest.raises(calib.CalibError, match="not a rigid placement"):
+        calib.dh.DhTable("standard", (calib.dh.DhRow("j", "revolute", 0.1, 0.2, 0.0, 0.0),), huge)
+
+
+def test_columns_that_are_none_are_sentences() -> None:
+    robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+    columns = {f"{name} [rad]": [0.1, 0.2] for name in (r.name for r in robot.readings)} | {
+        "y [m]": [1, 2],
+        "z [m]": [1, 2],
+    }
+    for x, said in (
+        ([[1.0, 2.0], [3.0]], r"column 'x \[m\]' is a list of list; needs one value for each row"),
+        (np.ma.masked_array([1.0, 9e9], [False, True]), "is a masked array of float64; leave its rows out"),
+        (np.array([_LONG("1e4000"), 1.0]), "column 'x'"),
+    ):
+        with pytest.raises(calib.CalibError, match=said):
+            calib.read_measurements({**columns, "x [m]": x}, robot)
+
+
+def test_keys_of_terms_that_are_no_lists_are_sentences_of_one_line() -> None:
+    robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+    for key in ("gain", "harmonic_orders"):
+        for value, told in ((np.array(0.5), "an array of float64"), (pd.Series([1.0, 2.0]), "a Series")):
+            with pytest.raises(JobError, match=f"{key}: {told} is not .* list of [^\n]*$"):
+                calib.error_model(robot, terms={key: value})
 
 
 def test_orders_of_an_array_are_saved(tmp_path: Path) -> None:

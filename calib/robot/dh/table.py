@@ -100,8 +100,7 @@ class DhTable:
         if all(row.type == "fixed" for row in self.rows):
             raise RobotError("DH table: no joint moves; a table needs a revolute or a prismatic row.")
         for name, T in (("base", self.base), ("tool", self.tool)):
-            R = T[:3, :3] if T.shape == (4, 4) and np.isfinite(T).all() else np.zeros((3, 3))
-            if not (np.allclose(R @ R.T, np.eye(3), atol=1e-9) and np.linalg.det(R) > 0.0):
+            if T.shape != (4, 4) or not rigid.are_placements(T[None], 1e-9)[0]:
                 raise RobotError(f"DH table: the {name} is not a rigid placement (4, 4).")
 
     def contents(self) -> dict[str, Any]:
