@@ -108,12 +108,13 @@ def plan(
     candidates = own(candidates)
     _refuse_few(count, candidates)
     working = candidates if how.working is None else own(how.working)
+    done = None if measured is None or not measured.size else own(measured)
     with one_thread(of_scipy=False):
         return planned(
             candidates,
             rows(model, how, candidates),
             working_rows(model, how, working),
-            None if measured is None or not len(measured) else rows(model, how, own(measured)),
+            None if done is None else rows(model, how, done),
             model.parameters(),
             count,
             criterion,

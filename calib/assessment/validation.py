@@ -26,7 +26,7 @@ from calib.foundations.errors import JobError, MeasurementError
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near, residuals_of
-from calib.identification.losses import Loss
+from calib.identification.losses import Loss, refuse_losses
 from calib.measurement.kinds import QUANTITIES, Kind
 from calib.measurement.measurements import Measurements, as_sets
 from calib.measurement.poses import ONE_POSE, both_ends
@@ -393,6 +393,9 @@ class ChosenRows:
     model_sigmas: Sequence[float | None] | None
     losses: Sequence[Loss] | None
     which: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        refuse_losses(self.losses, len(self.sets))
 
     def some(self, chosen: Sequence[BoolArray]) -> "ChosenRows":
         """Return the rows chosen by a mask (N,) of every set.

@@ -266,7 +266,8 @@ def _owner(hint: Any) -> Callable[[Any], Any]:
         return lambda value: tuple(own(one) for own, one in zip(each, value, strict=True))
     if origin is tuple or origin in _SEQUENCES:
         of_one = _owner(inner[0])
-        return _as_it_is if of_one in (_as_it_is, _of_python) else lambda value: tuple(map(of_one, value))
+        kept = (list, tuple) if of_one is _as_it_is else ()  # an array of none is neither true nor false
+        return lambda value: value if type(value) in kept else tuple(map(of_one, value))
     return _as_it_is
 
 

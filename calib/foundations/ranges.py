@@ -180,12 +180,21 @@ def refuse_shape(values: Array, shape: tuple[int | None, ...], where: str, error
 
 
 def finite(
-    values: npt.ArrayLike, shape: tuple[int | None, ...], sentence: str, error: type[CalibError] = MeasurementError
+    values: npt.ArrayLike,
+    shape: tuple[int | None, ...] | None,
+    sentence: str,
+    error: type[CalibError] = MeasurementError,
 ) -> Array:
-    """Return numbers of a shape as an array, None being any number from 1, or raise ``error`` with the sentence."""
+    """Return numbers of a shape as an array, or raise ``error`` with the sentence.
+
+    None is any shape, and in a shape any number from 1.
+    """
     found = np.asarray(values, dtype=np.float64)
-    fits = found.ndim == len(shape) and all(
-        there == wanted or (wanted is None and there > 0) for there, wanted in zip(found.shape, shape, strict=True)
+    fits = shape is None or (
+        found.ndim == len(shape)
+        and all(
+            there == wanted or (wanted is None and there > 0) for there, wanted in zip(found.shape, shape, strict=True)
+        )
     )
     if not (fits and are_numbers(found)):
         raise error(sentence)

@@ -3,7 +3,7 @@
 import fnmatch
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from calib.identification.initialisation.frames import is_fit
 from calib.identification.initialisation.problem import initial_problem, with_common_names, with_new_frames
 from calib.identification.initialisation.tools_elsewhere import tools_elsewhere
 from calib.identification.learned import LearnedPrior, solve_learning
-from calib.identification.losses import Loss
+from calib.identification.losses import Loss, refuse_losses
 from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.memory import with_memory
 from calib.identification.mirrored import mirrored
@@ -172,7 +172,7 @@ def _identify(
         whole = replace(whole, reference=_frames_of(near.nominal.frames, near, whole.reference, sets[0]))
     elif placed is not None and placed[0] == "fitted":
         whole = replace(whole, reference=_places_of(placed[1], whole.reference, sets[0]))
-    _refuse_losses(losses, sets)
+    refuse_losses(losses, len(sets))
     if losses is not None:  # of the nominal robot as well: else rows that lie off would make it look worse than it is
         whole = replace(whole, given_losses=tuple(losses))
     before = replace(whole, parameters=tuple(p for p in whole.parameters if not p.of_robot))
@@ -465,15 +465,6 @@ def _stated(model_sigmas: Sequence[float | None] | None) -> tuple[float | None, 
         if not (s is None or s == 0.0 or low <= s <= high):
             raise JobError(f"model_sigmas: {s!r} is out of range; allowed is 0, or {low:g} to {high:g}.")
     return None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
-
-
-def _refuse_losses(losses: Sequence[Loss] | None, sets: Sequence[Measurements]) -> None:
-    if losses is None:
-        return
-    if len(losses) != len(sets):
-        raise JobError(f"{len(losses)} losses are given for {len(sets)} sets of measurements.")
-    for loss in losses:
-        refuse_other(loss, get_args(Loss), "losses")
 
 
 def _refuse_nowhere(sets: Sequence[Measurements], machine: Machine) -> None:

@@ -6,16 +6,29 @@ Cauchy R. A. Maronna, R. D. Martin, V. J. Yohai, Robust Statistics, 2006; for so
 more numbers they give more.
 """
 
+from collections.abc import Sequence
 from functools import cache
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from calib.foundations.arrays import Array
 from calib.foundations.chance import density
+from calib.foundations.errors import JobError
+from calib.foundations.words import refuse_other
 
 Loss = Literal["linear", "huber", "soft_l1", "cauchy"]
 _TUNING = {"huber": 1.345, "soft_l1": 1.287, "cauchy": 2.385}
+
+
+def refuse_losses(losses: Sequence[Loss] | None, sets: int) -> None:
+    """Raise JobError for losses that are not one for each of the sets of measurements, or none that there is."""
+    if losses is None:
+        return
+    if len(losses) != sets:
+        raise JobError(f"{len(losses)} losses are given for {sets} sets of measurements.")
+    for loss in losses:
+        refuse_other(loss, get_args(Loss), "losses")
 
 
 def weight(loss: Loss, t: Array) -> Array:

@@ -32,6 +32,8 @@ _RANK = 1e-10
 # Readings of a joint at rest scatter by less: 0.01 mrad, 0.01 mm.
 _AT_REST = 1e-5
 
+_NO_READINGS = "the readings of an axis must be finite numbers, in rad or m."
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RevoluteAxis:
@@ -76,9 +78,10 @@ class RevoluteAxis:
         """Standard deviations (m,) of the radii, in m."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[4 : 4 + len(self.radii)]))
 
+    @checked
     def motion(self, angle: npt.ArrayLike) -> Array:
         """Return what turning by ``angle`` (...) rad does to points: placements (..., 4, 4)."""
-        R = rigid.rotation_about(self.direction, np.asarray(angle, dtype=np.float64))
+        R = rigid.rotation_about(self.direction, finite(angle, None, _NO_READINGS))
         return rigid.placement(R, self.point - R @ self.point)
 
 
@@ -109,9 +112,10 @@ class PrismaticAxis:
         """Expected angle in rad (rms) between the direction and the true one."""
         return float(np.sqrt(np.trace(self.covariance)))
 
+    @checked
     def motion(self, travel: npt.ArrayLike) -> Array:
         """Return what travelling by ``travel`` (...) m does to points: placements (..., 4, 4)."""
-        return rigid.translation(np.asarray(travel, dtype=np.float64)[..., None] * self.direction)
+        return rigid.translation(finite(travel, None, _NO_READINGS)[..., None] * self.direction)
 
 
 Axis = RevoluteAxis | PrismaticAxis

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import rigid
-from calib.foundations.arguments import checked
+from calib.foundations.arguments import checked, told
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
@@ -52,6 +52,8 @@ _AT_REST = 1e-3 * DEG
 _TURN_TOLERANCE = 1.0 * DEG
 _SIGMAS = 6.0
 
+_NO_POINTS = "the points on a table must be finite numbers (..., 3), in m."
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FivePoint:
@@ -70,6 +72,7 @@ class FivePoint:
     L_R: Array
     findings: tuple[Finding, ...]
 
+    @checked
     def motion(self, tilt: npt.ArrayLike, rotary: npt.ArrayLike) -> Array:
         """Return what the axes do, at readings (...) in rad, to whatever lies on the table at zero: (..., 4, 4).
 
@@ -79,15 +82,20 @@ class FivePoint:
             self.B_P @ _about_z(tilt) @ rigid.inverse(self.B_P) @ self.B_R @ _about_z(rotary) @ rigid.inverse(self.B_R)
         )
 
+    @checked
     def points(self, zero: npt.ArrayLike, tilt: npt.ArrayLike, rotary: npt.ArrayLike) -> Array:
         """Return where table points are at readings (...), in the robot's base, as ``zero`` (..., 3) at zero."""
         T = self.motion(tilt, rotary)
-        x = np.asarray(zero, dtype=np.float64)
+        x = finite(zero, None, _NO_POINTS)
+        if x.shape[-1:] != (3,):
+            raise MeasurementError(_NO_POINTS)
         return np.asarray((T[..., :3, :3] @ x[..., None])[..., 0] + T[..., :3, 3])
 
+    @checked
     def frames(self, tilt: npt.ArrayLike, rotary: npt.ArrayLike, zero: npt.ArrayLike | None = None) -> Array:
         """Return where a table frame, W unless it is given as it is at ``zero`` (4, 4), is at readings (...)."""
-        return np.asarray(self.motion(tilt, rotary) @ (self.B_R if zero is None else np.asarray(zero)))
+        T = self.B_R if zero is None else finite(zero, (4, 4), "zero: needs a placement (4, 4) of finite numbers.")
+        return np.asarray(self.motion(tilt, rotary) @ T)
 
     def contents(self) -> dict[str, Any]:
         """Return what was found as plain data, in m: both axes by a point and a direction, frames, findings."""
@@ -100,6 +108,7 @@ class FivePoint:
             "findings": [finding.sentence for finding in self.findings],
         }
 
+    @checked
     def robot(self, names: tuple[str, str] = ("tilt", "rotary")) -> Robot:
         """Return the positioner as a URDF machine, in whose nominal geometry these axes are; its tip is the table."""
         return revolute_robot([("revolute", self.B_P), ("revolute", self.B_R)], names)
@@ -156,11 +165,12 @@ def five_point(
 
 
 def _about_z(angle: npt.ArrayLike) -> Array:
-    return rigid.placement(rigid.rotation_about(np.array([0.0, 0.0, 1.0]), np.asarray(angle, np.float64)), np.zeros(3))
+    turns = finite(angle, None, "the readings of a positioner must be finite numbers, in rad.")
+    return rigid.placement(rigid.rotation_about(np.array([0.0, 0.0, 1.0]), turns), np.zeros(3))
 
 
 def _point(p: npt.ArrayLike, name: str) -> Array:
-    return finite(p, (3,), f"{name}: {p!r} is not a point of three finite numbers, in m.")
+    return finite(p, (3,), f"{name}: {told(p)} is not a point of three finite numbers, in m.")
 
 
 def _circle_frame(P: Array, axis: str) -> tuple[Array, tuple[float, float]]:

@@ -58,7 +58,7 @@ def revolute_robot(placed: Sequence[tuple[str, Array]], names: Sequence[str]) ->
             f'<axis xyz="0 0 1"/>{limits}</joint>'
         )
     text = "\n".join(['<robot name="positioner">', *lines, "</robot>", ""])
-    return load_robot(parse_urdf(text.encode(), "positioner"), "table", "base")
+    return load_robot(parse_urdf(text.encode(errors="surrogatepass"), "positioner"), "table", "base")
 
 
 @checked

@@ -183,6 +183,15 @@ def test_slips_of_python_users_are_sentences() -> None:
         (lambda: fit.told_covariance(np.array([999])), "told_covariance: parameters is no array of numbers from 0 to"),
         (lambda: fit.told_covariance(np.array(0)), "told_covariance: parameters is no array of numbers from 0 to"),
         (lambda: fit.told_covariance([0]), "told_covariance: parameters is [0]; needs an array of whole numbers."),  # type: ignore[arg-type]
+        (lambda: calib.judging.cross_validate(model, data, losses=[]), "0 losses are given for 1 set"),
+        (
+            lambda: calib.judging.compare_models({"a": model, "b": calib.error_model(robot)}, data, losses=[]),
+            "0 losses are given for 1 set",
+        ),
+        (lambda: calib.judging.observability(model, np.array([])), "there are no measurements to identify from."),  # type: ignore[arg-type]
+        (lambda: calib.plan(model, 10, candidates=30, measured=np.array(0.5)), "readings of shape (): needs"),
+        (lambda: calib.positioner.five_point(np.eye(3), *np.eye(4, 3)), "P1: an array of float64 is not a point"),
+        (lambda: calib.dh.dh_to_urdf(calib.dh.dh_of(robot), "\ud800"), "is not well-formed XML"),
         (lambda: calib.assess(fit, data=[]), "data: there are no tables to judge the fit by."),
         (lambda: calib.planning.Views(data), "Views: fit is a Measurements; needs a Fit."),  # type: ignore[arg-type]
         (lambda: calib.planning.roughly([0.1]), "tool: needs three lengths x, y, z in m."),

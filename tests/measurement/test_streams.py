@@ -160,6 +160,14 @@ def test_marks_of_one_photograph_have_one_time(made: Streams) -> None:
         read("free")
 
 
+def test_a_lag_at_which_no_row_is_known_ends_no_search(made: Streams) -> None:
+    """Streams of less than a second: of the lags that are tried within a second, most leave no row."""
+    seen = {"time [s]": np.arange(40) * 0.02, **{f"{axis} [m]": np.linspace(0.0, 1.0, 40) for axis in "xyz"}}
+    joints = {name: np.full(60, x[0]) for name, x in made.joints.items()} | {"time [s]": np.arange(60) * 0.02 - 0.1}
+    joints["elbow_joint [rad]"] = np.linspace(0.0, 1.0, 60)
+    assert "do the two recordings overlap" in refused(made, seen, joints)
+
+
 def test_bad_streams_are_refused_with_one_sentence(made: Streams) -> None:
     seen, joints = made.seen, made.joints
     back = dict(seen) | {"time [s]": np.concatenate([seen["time [s]"][:50], seen["time [s]"][:-50]])}

@@ -26,6 +26,25 @@ def angles(*turns: float) -> list[float]:
     return list(np.radians(turns) * SIGNS)
 
 
+def test_readings_of_axes_that_are_none_are_sentences() -> None:
+    t = np.linspace(0.0, 3.0, 8)
+    turn = positioner.circle_axis(np.c_[np.cos(t), np.sin(t), 0.0 * t])
+    slide = positioner.line_axis(np.c_[t, 0.0 * t, 0.0 * t])
+    found = positioner.five_point([1, 0, 0], [0.9, 0.1, 0.3], [0.9, -0.1, -0.3], [0.5, 0.8, 0], [0.5, -0.8, 0])
+    for slip in (
+        lambda: turn.motion(np.inf),
+        lambda: slide.motion([0.0, np.nan]),
+        lambda: found.motion(0.1, np.inf),
+        lambda: found.points(["x"], 0.1, 0.1),
+        lambda: found.points([0.1, 0.2], 0.1, 0.1),
+        lambda: found.frames(0.1, 0.1, [0.1, 0.2, 0.3]),
+        lambda: found.robot(["a", None]),
+        lambda: found.robot(("a", "\ud800")),
+    ):
+        with pytest.raises(calib.CalibError):
+            slip()
+
+
 # ---- five points
 
 

@@ -378,4 +378,4 @@ def refined(seen: Seen, moved: Moved, middle: float, near: Lag) -> Refined:
 def _columns(tips: Array, groups: IntArray) -> Array:
     """Return what points are linear in (n, 13 g), whatever base and tool of each of g groups are."""
     own = np.concatenate([tips[:, :3, 3], tips[:, :3, :3].reshape(-1, 9), np.ones((len(tips), 1))], axis=1)
-    return np.concatenate([own * (groups == k)[:, None] for k in np.unique(groups)], axis=1)
+    return np.concatenate([own[:, :0], *(own * (groups == k)[:, None] for k in np.unique(groups))], axis=1)

@@ -49,7 +49,7 @@ def dh_to_urdf(table: DhTable, name: str = "arm", limits: Mapping[str, tuple[flo
                 f'    <limit lower="{lower!r}" upper="{upper!r}" effort="1" velocity="1"/>',
             ]
         lines += ["  </joint>", f'  <link name="{child}">', *_visuals(ahead[:3, 3], radius), "  </link>"]
-    source = ("\n".join([*lines, "</robot>"]) + "\n").encode()
+    source = ("\n".join([*lines, "</robot>"]) + "\n").encode(errors="surrogatepass")
     parse_urdf(source, f"the URDF of DH table {name!r}")
     return source
 
