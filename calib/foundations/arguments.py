@@ -285,6 +285,7 @@ def _of_python(value: Any) -> Any:
 def told(value: object) -> str:
     """Return what was given, in a few words of one line: its value where that is short, else its kind."""
     simple = bool, float, int, str, bytes, NoneType
+    value = _of_python(value)
     if isinstance(value, str):
         return shown(value)
     plain = value if isinstance(value, list | tuple) else [value]

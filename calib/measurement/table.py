@@ -45,6 +45,8 @@ NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 _MOST_COLUMNS = 1000
 _LONGEST_WORD = 200
+# Python writes no whole number of more than some thousands of digits.
+_MOST_BITS = 1024
 _LISTED = 12
 # What a plain number is made of; of these, float() takes only plain numbers.
 _PLAIN = b"0123456789.+-eE"
@@ -451,7 +453,7 @@ def _si(values: Sequence[str] | npt.NDArray[Any], unit: Unit, name: str, place: 
         numbers = in_float64(values)
     else:
         # Objects of a frame pass the same gate as the cells of a file.
-        numbers = _parsed(values if isinstance(values, tuple) else [str(value) for value in values], name, place)
+        numbers = _parsed(values if isinstance(values, tuple) else [_written(value) for value in values], name, place)
     si = read_only_view(np.asarray(unit.factor * numbers))
     allowed = OF_DIMENSION[unit.dimension]
     low, high = allowed.ends
@@ -488,15 +490,25 @@ def _not_a_number(cell: str) -> str:
     return f"{shown(cell)} is not a number like 12.5 or 1.25e1"
 
 
+def _written(value: object) -> str:
+    return told(value) if _is_huge(value) else str(value)
+
+
+def _is_huge(value: object) -> bool:
+    return isinstance(value, int) and value.bit_length() > _MOST_BITS
+
+
 def _words(values: Sequence[str] | npt.NDArray[Any], name: str, place: _Place) -> tuple[str, ...]:
     for row, value in enumerate(values):
         # Whole numbers name groups well; a float would read 1 or 1.0, and stands for a missing cell in a frame.
-        if not isinstance(value, str | Integral):
-            raise MeasurementError(f"{place(row)}: column {name!r}: {shortened(str(value))} is not a word.")
+        if not isinstance(value, str | Integral) or _is_huge(value):
+            raise MeasurementError(f"{place(row)}: column {name!r}: {told(value)} is not a word.")
         if not str(value).strip():
             raise MeasurementError(f"{place(row)}: column {name!r}: the cell is empty.")
         if len(str(value)) > _LONGEST_WORD:
             raise MeasurementError(
                 f"{place(row)}: column {name!r}: {shown(str(value))} is longer than {_LONGEST_WORD} characters."
             )
+        if any("\ud800" <= letter <= "\udfff" for letter in str(value)):
+            raise MeasurementError(f"{place(row)}: column {name!r}: {shown(str(value))} holds half a character.")
     return tuple(without_marks(str(value).strip()) for value in values)

@@ -183,6 +183,15 @@ def test_slips_of_python_users_are_sentences() -> None:
         (lambda: fit.told_covariance(np.array([999])), "told_covariance: parameters is no array of numbers from 0 to"),
         (lambda: fit.told_covariance(np.array(0)), "told_covariance: parameters is no array of numbers from 0 to"),
         (lambda: fit.told_covariance([0]), "told_covariance: parameters is [0]; needs an array of whole numbers."),  # type: ignore[arg-type]
+        (lambda: calib.positions(robot, data.readings, data.position, tool="\ud800"), "holds half a character"),  # type: ignore[arg-type]
+        (
+            lambda: calib.read_measurements({"group": [10**5000]}, robot),
+            "column 'group': a whole number of 16610 bits, too large is not a word.",
+        ),
+        (
+            lambda: calib.read_measurements({"x [m]": [10**5000]}, robot),
+            "column 'x': 'a whole number of 16610 bits, too large' is not a number",
+        ),
         (lambda: calib.judging.cross_validate(model, data, losses=[]), "0 losses are given for 1 set"),
         (
             lambda: calib.judging.compare_models({"a": model, "b": calib.error_model(robot)}, data, losses=[]),
