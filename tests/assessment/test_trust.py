@@ -249,6 +249,17 @@ def test_a_delay_is_seen_of_angles_that_are_told_within_a_turn(cell: Cell) -> No
     assert within.sigma == pytest.approx(whole.sigma, rel=0.2)
 
 
+def test_errors_that_grew_though_nothing_of_the_arm_was_free(cell: Cell) -> None:
+    fit = calib.identify(calib.error_model(cell.robot), cell.measured(cell.draw(20)))
+    data = cell.measured(cell.draw(12))
+    before = cell.rng.normal(scale=1e-4, size=(12, 3))
+    for factor, passed in ((1.0, True), (1.05, True), (2.0, False), (0.5, True)):
+        after = factor * before * cell.rng.uniform(0.98, 1.02, (12, 1))
+        check = of_errors.improvement(fit, [JudgedSet("validation", "v.csv", data, before, after)])
+        assert check.passed == passed
+        assert ("Is the shape of the board as it is said" in check.sentence) != passed
+
+
 def braking(q: Array, left: float) -> Array:
     """Where joints are before they reach q (n, k), one row after the other: the farthest has ``left`` to go."""
     moved = np.diff(q, axis=0, prepend=q[:1])

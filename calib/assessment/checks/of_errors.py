@@ -26,6 +26,8 @@ LEFT = 0.05
 ONE_PLACE = 0.05
 # Standard errors of an improvement: its probability, and from which an error has clearly grown.
 SURELY, WORSE = 0.975, -4.0
+# Errors that are so much larger have grown by more than another weighing of the same rows does.
+GROWN = 1.25
 # Errors before calibration that are within this of the noise show no deviation of the arm.
 AS_NOISE = 2.0
 # Held-out errors as multiples of those predicted, which are themselves estimates: their chance.
@@ -91,7 +93,7 @@ def _points(fit: Fit, data: Measurements, end: End) -> Array:
 def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
     """Whether errors are smaller than before, by more than chance makes them over different poses."""
     if not any(parameter.of_robot for parameter in fit.parameters):
-        return Check.idle("improvement", NOTHING, "No parameter of the robot was free.", least=True)
+        return _not_spoiled(judged)
     best, limit, worse, deviates = -np.inf, NOTHING, "", False
     for name in sorted({quantity.name for one in judged for quantity in QUANTITIES[one.data.kind]}, reverse=True):
         found = gain(judged, name)
@@ -117,6 +119,24 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
     said = f"Errors are smaller than before calibration by {best:.2g} standard errors"
     more = "." if passed else f", and {limit:.2g} are needed: the improvement may be chance.{alike}"
     return Check.of("improvement", best, limit, passed, said + more, least=True)
+
+
+def _not_spoiled(judged: Sequence[JudgedSet]) -> Check:
+    """Whether errors have not grown where nothing of the robot was free.
+
+    Then before and after differ by how rows of a photograph were weighed alone: each by itself, and as they err
+    together.
+    """
+    for name in sorted({quantity.name for one in judged for quantity in QUANTITIES[one.data.kind]}):
+        found = gain(judged, name)
+        if found.freedom and found.t < WORSE and found.after > GROWN * found.before:
+            said = (
+                f"No parameter of the robot was free, and the {name} error is {found.after / found.before:.2g} times "
+                "as large as without what rows of a photograph have in common: they err together as no place of board "
+                "and camera explains. Is the shape of the board as it is said to be?"
+            )
+            return Check.of("improvement", found.t, WORSE, False, said, least=True)
+    return Check.idle("improvement", NOTHING, "No parameter of the robot was free.", least=True)
 
 
 def _noise(fit: Fit, name: str) -> float:
