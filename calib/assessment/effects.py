@@ -471,11 +471,15 @@ def _of_each(
     C: Array,
     of: Callable[[str, Stretch, Array, Array, int], _Found | None],
 ) -> Iterator[_Found]:
-    """Yield what is found ``of`` each thing in each part, by a fit that had sought its motions of all rows too."""
+    """Yield what is found ``of`` each thing in each part, by a fit that had sought its motions of all rows too.
+
+    Of several parts, also those of the part alone: what differs from table to table is no change in the course of one.
+    """
     for what, motions in things:
-        within, own = _besides(parts, motions, C)
+        within, known = _besides(parts, motions, C)
         for part, Z in zip(within, motions, strict=True):
-            one = of(what, part, Z, own, len(things))
+            (alone,), own = _besides([part], [Z], known) if len(parts) > 1 else ((part,), known)
+            one = of(what, alone, Z, own, len(things))
             if one is not None:
                 yield one
 

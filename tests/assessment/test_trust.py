@@ -418,6 +418,23 @@ def test_what_is_elsewhere_in_all_rows_has_not_jumped(cell: Cell) -> None:
     assert worst.chance < of_rows.RARELY
 
 
+def test_a_base_that_moved_between_two_tables_has_not_jumped_within_one(cell: Cell) -> None:
+    one, two, rows = cell.measured(cell.draw(60)), cell.measured(cell.draw(60)), np.arange(60)[:, None]
+    moved = replace(two, position=two.position + 3e-4)
+
+    def surely(data: calib.Measurements) -> list[tuple[str, int]]:
+        fit = calib.identify(cell.model, [one, data])
+        found = steps(stretches(residue := Residue.of(fit, {})), residue.C)
+        return [(step.what, step.line) for step in found if step.size > of_rows.SIZE and step.chance < of_rows.RARELY]
+
+    assert surely(moved) == []
+    # One that moves within a table as well is found there.
+    assert surely(replace(moved, position=moved.position + np.where(rows >= 25, 6e-4, 0.0)))[0] == (
+        "base",
+        two.lines[24],
+    )
+
+
 def test_a_tool_that_is_stated_wrong_for_all_tables_sets_none_of_them_apart(cell: Cell) -> None:
     known = calib.Known(tools={"tool": machines.pose((0.052, 0.019, 0.151))})
     model = calib.error_model(cell.robot, offsets="all", placements="all", tool="fixed", known=known)
