@@ -1,7 +1,7 @@
 """``calib verify``: whether a calibrated machine is still what it was."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,6 +10,10 @@ from calib.cli.options import ResultFolder, SetupName, argument, option
 from calib.cli.proposing import ColumnNames, OrientationName, renamed
 from calib.foundations.choices import Observed
 from calib_start import loading
+
+if TYPE_CHECKING:
+    from calib.machine.calibrated import CalibratedMachine
+    from calib.measurement.table import Table
 
 # Of columns that may be passed over, as many are named.
 _LISTED = 4
@@ -55,7 +59,7 @@ def verify(
         from calib.measurement.checks import refuse_findings, table_findings, unreached
         from calib.measurement.formats.sheet import read_sheet
         from calib.measurement.read import read_measurements
-        from calib.measurement.table import Columns, HeaderError
+        from calib.measurement.table import Columns, HeaderError, read_table
         from calib.presentation.acceptance_tables import verification_lines, verification_sheet
         from calib.presentation.console import warning
         from calib.results.result_file import doubts_of
@@ -63,16 +67,21 @@ def verify(
         say("reading the model and the measurements")
         machine = load_machine(results).at(setup)
         machine = machine if tool is None else machine.of(tool)
+        columns = (
+            Columns(renamed(column), tuple(ignore or ()), orientation)
+            if column or ignore or orientation
+            else columns_of_results(results, observes)
+        )
         try:
+            if tool is None and machine.tool_tips:
+                machine = _at_the_tip_of(machine, read_table(measurements, columns))
             data = read_measurements(
                 measurements,
                 machine.robot,
                 observes,
                 sigma=None if sigma is None else parse_within(sigma, RANGES["sigma"], "sigma"),
                 in_order=in_order,
-                columns=Columns(renamed(column), tuple(ignore or ()), orientation)
-                if column or ignore or orientation
-                else columns_of_results(results, observes),
+                columns=columns,
             ).named(tool=tool, setup=setup)
         except HeaderError as e:
             if {"u", "v"} <= set(read_sheet(measurements).names):
@@ -105,3 +114,11 @@ def verify(
     )
     if not found.passed:
         raise typer.Exit(NOT_TRUSTED)
+
+
+def _at_the_tip_of(machine: "CalibratedMachine", table: "Table") -> "CalibratedMachine":
+    """Return the machine at the tip that carries the tools of a table's column, where they are all on one."""
+    named = table.columns.get("tool")
+    tools = () if named is None else [str(name) for name in dict.fromkeys(named.values) if name in machine.tools]
+    tips = {machine.of(tool).robot.tip: tool for tool in tools}
+    return machine.of(next(iter(tips.values()))) if len(tips) == 1 else machine

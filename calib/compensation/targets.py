@@ -112,7 +112,9 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool", *, in_or
                 (f":{table.lines[n]}", "") if "tool" in columns else ("", "; name one, or write a column 'tool'")
             )
             raise MeasurementError(f"{where}{line}: {not_calibrated('tool', name, model.tools)}{say}.")
-    told = replace(conditions(table, model.robot.readings), ordered=in_order)
+    # What is visited in order comes from the sides that its order tells, and rests where it does not move.
+    absent = [] if in_order else [name for name in joints if name not in needed and name not in columns]
+    told = replace(conditions(table, model.robot.readings, absent=absent), ordered=in_order)
     sided_columns(table, model.robot.readings, in_order=in_order)
     if unsaid := lacking(model.robot.terms, list(joints), with_sides(told, len(table), len(joints))):
         needs = f"there is no column {unsaid[1]!r}, which {unsaid[0]} of the machine needs"

@@ -1,6 +1,6 @@
 """What a table says of its rows beside readings: sides of approach, temperatures and torques."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,22 +17,25 @@ from calib.robot.transmission import lacking
 _SIDES = {"+": 1.0, "-": -1.0, "0": 0.0, "1": 1.0, "-1": -1.0}
 
 
-def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = False) -> Conditions:
+def conditions(
+    table: Table, readings: Sequence[Reading], *, in_order: bool = False, absent: Collection[str] = ()
+) -> Conditions:
     """Return what a table says beside readings.
 
     In columns ``temperature`` (and ``time``, by which what is slow remembers it), ``tau_<joint>`` and ``sigma_tau``,
-    ``direction`` or ``direction_<joint>``; ``in_order``: the order of the rows says it instead of the latter. Raises
-    MeasurementError for a word that is no side, a unit of another dimension, and where sides are given twice.
+    ``direction`` or ``direction_<joint>``; ``in_order``: the order of the rows says it instead of the latter.
+    ``absent``: readings that move nothing which the table is about and have no column; they rest, without torque.
+    Raises MeasurementError for a word that is no side, a unit of another dimension, and where sides are given twice.
     """
     own = {reading.name: f"{APPROACH}{reading.name}" for reading in readings}
     said = sided_columns(table, readings, in_order=in_order)
     approach = None
     if in_order:
         approach = sides_in_order(filled(table, {reading.name: reading.dimension for reading in readings}))
-    elif said:
-        unsaid = np.full(len(table), np.nan)
+    elif said or absent:
         columns = {name: _sides(table, name) for name in said}
-        sides = [columns.get("direction", columns.get(name, unsaid)) for name in own.values()]
+        unsaid = {name: np.full(len(table), 0.0 if name in absent else np.nan) for name in own}
+        sides = [columns.get("direction", columns.get(column, unsaid[name])) for name, column in own.items()]
         approach = read_only(np.array(sides).reshape(len(own), len(table)).T)
     temperature = None
     if "temperature" in table.columns:
@@ -41,6 +44,8 @@ def conditions(table: Table, readings: Sequence[Reading], *, in_order: bool = Fa
     for k, reading in enumerate(readings):
         if f"{TORQUE}{reading.name}" in table.columns:
             torque[:, k] = numbers(table, f"{TORQUE}{reading.name}", "torque")
+        elif reading.name in absent:
+            torque[:, k] = 0.0
     told = Conditions(approach, temperature, None if np.isnan(torque).all() else read_only(torque))
     if "sigma_tau" in table.columns:
         sigma = numbers(table, "sigma_tau", "torque")

@@ -162,7 +162,7 @@ def measurements_from_table(
         group=words(table, "group"),
         where=table.where,
         lines=table.lines,
-        conditions=conditions(table, readings, in_order=in_order),
+        conditions=conditions(table, readings, in_order=in_order, absent=absent),
         camera=camera,
         tip=joints.tip,
         absent=absent,

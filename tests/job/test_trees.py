@@ -127,6 +127,54 @@ def test_commands_take_an_arm_of_several_by_name(cell: tuple[Path, Tree], tmp_pa
         assert f'"{node}"' in scene
 
 
+def test_terms_of_one_arm_ask_nothing_of_the_table_of_the_other(tmp_path: Path) -> None:
+    """Backlash and measured torques of both arms: each table tells those of its own joints alone."""
+    rng = np.random.default_rng(8)
+    made, base = tree(rng), anywhere(rng)
+    lost, soft = rng.normal(scale=3e-4, size=(2, len(made.names)))
+    (tmp_path / "tree.urdf").write_text(urdf(), encoding="utf-8")
+    for name, tip, n in (("right", "right_hand", 120), ("left", "left_hand", 120), ("judge", "left_hand", 40)):
+        q, own = made.draw(rng, n), {title.split()[0] for title in made.columns(np.zeros((1, len(made.names))), (tip,))}
+        side, torque = rng.choice([-1.0, 1.0], q.shape), rng.normal(scale=10.0, size=q.shape)
+        moved = q + lost * side - 0.1 * soft * torque
+        seen = (base @ made.link(tip, moved) @ TOOLS[tip])[:, :3, 3] + rng.normal(scale=SIGMA, size=(n, 3))
+        told = torque + rng.normal(scale=0.1, size=q.shape)
+        columns = made.columns(q, (tip,)) | {f"{k} [m]": seen[:, i] for i, k in enumerate("xyz")}
+        for k, joint in enumerate(made.names):
+            if joint in own:
+                columns[f"direction_{joint}"] = ["+" if s > 0 else "-" for s in side[:, k]]
+                columns[f"tau_{joint} [Nm]"] = told[:, k]
+        columns["sigma_tau [Nm]"] = np.full(n, 0.1)
+        columns["tool"] = [{"right_hand": "pin", "left_hand": "ball"}[tip]] * n
+        write_table(tmp_path / f"{name}.csv", columns)
+        if name == "judge":
+            columns = {title: values for title, values in columns.items() if title[:1] not in "xyz"}
+            write_table(tmp_path / "wanted.csv", columns)
+    job, out = tmp_path / "job.toml", tmp_path / "out"
+    judge = LEFT.replace("left.csv", "judge.csv") + 'use = "validate"\n'
+    job.write_text(JOB + 'backlash = "all"\ntorque = "all"\n' + RIGHT + LEFT + judge, encoding="utf-8")
+    said = run("calibrate", job, "-o", out)
+    assert said.code == 0, said
+    result = json.loads((out / "result.json").read_text())
+    assert result["metrics"]["validation"]["after"]["position"]["rms"] < 3 * SIGMA
+    known = {record["name"]: record for record in result["parameters"]}
+    for k, joint in enumerate(made.names):
+        for name, true in ((f"{joint}.backlash", lost[k]), (f"{joint}.torque", 0.1 * soft[k])):
+            if name in known:
+                assert abs(known[name]["value"] - true) < 4.0 * known[name]["sigma"]
+    # The column says whose rows these are, of the hand that is not the first one.
+    said = run("verify", out, tmp_path / "judge.csv")
+    assert said.code == 0, said
+    options = ("--what", "position", "-q")
+    said = run("compensate", out, tmp_path / "wanted.csv", "-o", tmp_path / "corrected.csv", *options)
+    assert said.code == 0, said
+    # Of the joints that move the targets all is to be told.
+    table = (tmp_path / "wanted.csv").read_text().replace("direction_left_wrist", "group")
+    (tmp_path / "unsaid.csv").write_text(table)
+    said = run("compensate", out, tmp_path / "unsaid.csv", "-o", tmp_path / "none.csv", *options)
+    assert said.code == 1 and "there is no column 'direction_left_wrist'" in said.err
+
+
 def test_hands_alone_leave_the_torso_unseen(cell: tuple[Path, Tree]) -> None:
     folder, made = cell
     job, out = folder / "hands.toml", folder / "hands"

@@ -76,8 +76,20 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
 
 
 def _with_expected_torques(model: ErrorModel, sets: tuple[Measurements, ...]) -> tuple[Measurements, ...]:
-    """Return the sets with torques that are to be expected in the place of those that scatter by a stated sigma."""
-    told = iter(expected_torques(model.urdf_robot, [(e.readings, e.conditions) for data in sets for e in data.ends]))
+    """Return the sets with torques that are to be expected in the place of those that scatter by a stated sigma.
+
+    Of joints that nobody read nothing is learned, and nothing is expected.
+    """
+    unread = [np.isin(data.reading_names, data.absent) for data in sets for _ in data.ends]
+    rows = [(end.readings, end.conditions) for data in sets for end in data.ends]
+    known = [
+        (readings, told if told.torque is None else replace(told, torque=np.where(none, np.nan, told.torque)))
+        for (readings, told), none in zip(rows, unread, strict=True)
+    ]
+    told = iter(
+        own if own.torque is None else replace(own, torque=np.where(none, 0.0, own.torque))
+        for own, none in zip(expected_torques(model.urdf_robot, known), unread, strict=True)
+    )
     found = []
     for data in sets:
         own = replace(data, conditions=next(told))
