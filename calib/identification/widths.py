@@ -36,8 +36,10 @@ from calib.foundations.errors import IdentificationError
 NARROWEST, WIDEST = 1e-3, 1e2
 # The power of widths by which the likelihood is multiplied.
 POWER = 2.0
-# A component's noise may come out so many times larger than the fit has found it, or smaller.
+# A component's noise may come out so many times larger than the fit has found it, or smaller; by less where a search
+# has tried a noise so small that the equations are singular by rounding.
 _MOST_NOISE = 1e3
+_LESS_NOISE = (_MOST_NOISE, 30.0, 3.0)
 _MOST_STEPS = 300
 _MOST_TURNS = 20
 _SETTLED = 1e-4
@@ -166,10 +168,27 @@ def searched(
     """Return the likeliest widths (g,), from ``start`` (g,) on, and factors (c,).
 
     ``held``: what more is known of widths, as a function of their logarithms (g,): what it adds to -2 log likelihood,
-    with its slopes (g,). ``least`` (g,): the narrowest.
+    with its slopes (g,). ``least`` (g,): the narrowest. Raises IdentificationError where the equations are singular.
     """
+    for times in _LESS_NOISE[:-1]:
+        try:
+            return _searched(rows, start, held, ftol, least, times)
+        except IdentificationError:
+            continue
+    return _searched(rows, start, held, ftol, least, _LESS_NOISE[-1])
+
+
+def _searched(
+    rows: NormalEquations,
+    start: Array,
+    held: Callable[[Array], tuple[float, Array]],
+    ftol: float,
+    least: Array | None,
+    times: float,
+) -> tuple[Array, Array]:
+    """Return what :func:`searched` does, of a noise that is at most so many ``times`` smaller."""
     g = len(start)
-    low = np.where(rows.fixed, 1.0, np.clip(rows.least, 1.0 / _MOST_NOISE, 1.0))
+    low = np.where(rows.fixed, 1.0, np.clip(rows.least, 1.0 / times, 1.0))
     high = np.where(rows.fixed, 1.0, _MOST_NOISE)
 
     def cost(theta: Array) -> tuple[float, Array]:
