@@ -48,6 +48,7 @@ class Joints(NamedTuple):
 
     ``spare``: readings that do not move the ``tip``, so that there may be no column. ``idle``: joints that move nothing
     that is asked for. ``unread``: joints without a reading. ``tool``: what the tip's only tool is called.
+    ``elsewhere``: no joint has a column, as another file has the readings.
     """
 
     tip: str = ""
@@ -55,6 +56,7 @@ class Joints(NamedTuple):
     spare: tuple[str, ...] = ()
     idle: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
+    elsewhere: bool = False
 
     @classmethod
     def of(cls, robot: Robot) -> "Joints":
@@ -102,7 +104,8 @@ def measurements_from_table(
     """
     refuse_other(kind, get_args(Kind), "observes")
     dimensions: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
-    absent = tuple(name for name in joints.spare if name in dimensions and name not in table.columns)
+    unmoved = [name for name in joints.spare if name in dimensions and name not in table.columns]
+    absent = tuple(dimensions) if joints.elsewhere else tuple(unmoved)
     require(table, [name for name in dimensions if name not in absent], "of a joint")
     refuse_unknown(table, dimensions, joints.unread, joints.idle)
     length, angle = sigma if isinstance(sigma, tuple) else (sigma, None)
@@ -162,7 +165,7 @@ def measurements_from_table(
         group=words(table, "group"),
         where=table.where,
         lines=table.lines,
-        conditions=conditions(table, readings, in_order=in_order, absent=absent),
+        conditions=conditions(table, readings, in_order=in_order, absent=unmoved),
         camera=camera,
         tip=joints.tip,
         absent=absent,

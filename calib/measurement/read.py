@@ -169,4 +169,4 @@ def _elsewhere(table: Table, robot: Robot, joints: Joints) -> Joints:
             f"{table.where}: column {both[0]!r} is of a joint, and another file has the readings of this stream; keep "
             "one of them."
         )
-    return joints._replace(spare=names)
+    return joints._replace(elsewhere=True)

@@ -168,6 +168,13 @@ def test_a_lag_at_which_no_row_is_known_ends_no_search(made: Streams) -> None:
     assert "do the two recordings overlap" in refused(made, seen, joints)
 
 
+def test_a_stream_without_sides_and_torques_tells_none(made: Streams) -> None:
+    """Its own table has no joints, as a table of one arm has none of the other, which rest."""
+    told = calib.measuring.read_stream(made.seen, made.robot, made.joints, clock="given").conditions
+    assert told.approach is None
+    assert told.torque is None
+
+
 def test_bad_streams_are_refused_with_one_sentence(made: Streams) -> None:
     seen, joints = made.seen, made.joints
     back = dict(seen) | {"time [s]": np.concatenate([seen["time [s]"][:50], seen["time [s]"][:-50]])}
