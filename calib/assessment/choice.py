@@ -246,7 +246,8 @@ def choose_from(
             geometric = identify(plain, rows.sets, model_sigmas=rows.model_sigmas, losses=rows.losses)
         sets = geometric.measurements
         group = row_groups(sets)
-        looked_at, near = some_rows(sets, group, _ENOUGH_ROWS), neighbourhoods(sets, group, count)
+        looked_at = some_rows(sets, group, _ENOUGH_ROWS)
+        near = neighbourhoods(sets, group, count, [reading.turns for reading in model.robot.readings])
         group, place = (np.unique(numbers[looked_at], return_inverse=True)[1] for numbers in (group, near.number))
         chosen_from = _offered(model, sets) if offered is None else tuple(offered)
         costs = _costs(chosen_from, apart=near.apart)

@@ -19,7 +19,7 @@ def unshown(fit: Fit) -> tuple[str, ...]:
     free = bool(model.offsets or model.placements) and model.priors.length is None and model.priors.angle is None
     if not free or sum(map(len, sets)) > _MOST_ROWS or any(data.stream for data in sets):
         return ()
-    near = neighbourhoods(sets, row_groups(sets))
+    near = neighbourhoods(sets, row_groups(sets), turning=[reading.turns for reading in model.robot.readings])
     if not near.apart:
         return ()
     return (

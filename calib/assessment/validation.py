@@ -242,7 +242,9 @@ class Neighbourhoods(NamedTuple):
     apart: bool
 
 
-def neighbourhoods(measurements: Sequence[Measurements], group: IntArray, count: int = FOLDS) -> Neighbourhoods:
+def neighbourhoods(
+    measurements: Sequence[Measurements], group: IntArray, count: int = FOLDS, turning: Sequence[bool] = ()
+) -> Neighbourhoods:
     """Return the neighbourhoods of rows, given their groups (N,): at most ``count``.
 
     Groups whose poses are near to each other are in one (k-means). Where poses lie in three places or more with nothing
@@ -257,8 +259,9 @@ def neighbourhoods(measurements: Sequence[Measurements], group: IntArray, count:
     if len(centres) <= count:
         return Neighbourhoods(group, apart=False)
     part = _parts(centres, count)
-    usual = np.median(np.asarray(scipy.spatial.cKDTree(centres).query(centres, k=2)[0])[:, 1])
-    trees = [scipy.spatial.cKDTree(centres[part == k]) for k in range(part.max() + 1)]
+    around = _around(centres, turning)
+    usual = np.median(np.asarray(scipy.spatial.cKDTree(around).query(around, k=2)[0])[:, 1])
+    trees = [scipy.spatial.cKDTree(around[part == k]) for k in range(part.max() + 1)]
     touching = [[np.min(a.query(b.data)[0]) <= _APART * usual for a in trees] for b in trees]
     places, place = scipy.sparse.csgraph.connected_components(np.array(touching), directed=False)
     apart = bool(places >= _FEWEST_PLACES)
@@ -282,6 +285,12 @@ def poses_between(measurements: Sequence[Measurements], chosen: BoolArray, place
     share = rng.uniform(size=(_BETWEEN, 1))
     # Of rows with two ends both are poses; others have the one end twice.
     return np.asarray((share * ends[a] + (1.0 - share) * ends[b]).reshape(2 * _BETWEEN, -1))
+
+
+def _around(points: Array, turning: Sequence[bool]) -> Array:
+    """Return points (n, m) in the place of readings at both ends (n, 2 k), those of turning joints on a circle."""
+    turns = np.tile(np.array(turning, dtype=np.bool_), 2) if turning else np.zeros(points.shape[1], dtype=np.bool_)
+    return np.hstack([points[:, ~turns], np.cos(points[:, turns]), np.sin(points[:, turns])])
 
 
 def _parts(points: Array, count: int) -> IntArray:

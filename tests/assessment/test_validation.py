@@ -160,6 +160,21 @@ def test_places_that_lie_apart_are_not_divided(places: int) -> None:
     np.testing.assert_array_equal(neighbourhoods([moved], row_groups([moved])).number, found[order])
 
 
+def test_between_angles_on_either_side_of_half_a_turn_there_is_nothing() -> None:
+    _, data = measured(200)
+    readings = np.random.default_rng(2).uniform(-0.5, 0.5, (200, 6))
+    # Two joints swing about half a turn, and are told within a turn.
+    readings[:, 4:] -= np.pi * np.sign(readings[:, 4:])
+    data = replace(data, readings=readings)
+    group, turning = row_groups([data]), [True] * 6
+    assert neighbourhoods([data], group).apart
+    assert not neighbourhoods([data], group, turning=turning).apart
+    # One that slides does not come back.
+    assert neighbourhoods([data], group, turning=[*turning[:4], False, False]).apart
+    cubes, _ = in_cubes(4, 30, 0.2)
+    assert neighbourhoods([cubes], row_groups([cubes]), turning=turning).apart
+
+
 def test_poses_between_places_are_on_the_way_from_one_to_another() -> None:
     data, cube = in_cubes(4, 30, 0.2)
     everything = np.ones(len(data), dtype=bool)
