@@ -85,7 +85,8 @@ def read_arm(name: str, section: InstrumentSection, folder: Path) -> ReadArm:
         if section.tool not in model.tools:
             known = ", ".join(map(repr, model.tools)) or "none"
             raise JobError(f"instruments.{name}.tool: {section.tool!r} is not a tool of the arm; it has {known}.")
-        return ReadArm(replace(arm, point=read_only(model.tools[section.tool][:3, 3])), files, tool=section.tool)
+        held = replace(arm, machine=model.of(section.tool), point=read_only(model.tools[section.tool][:3, 3]))
+        return ReadArm(held, files, tool=section.tool)
     if section.point is not None:
         point = read_only([length.si for length in section.point])
         return ReadArm(replace(arm, point=point), files)

@@ -9,7 +9,9 @@ import pytest
 
 import calib
 from calib.assessment.choice import candidates
+from calib.job.arm import read_arm
 from calib.job.inputs import load
+from calib.job.schema import InstrumentSection
 from calib.robot.links import arm_of, link_placements
 from calib.robot.terms import kind_of
 from calib.robot.urdf import parse_urdf
@@ -78,6 +80,15 @@ def test_two_arms_that_touch_each_other(cell: tuple[Path, Tree]) -> None:
     mapped = calib.judging.uncertainty_map(machine, 5, tool="left_hand")
     places = machine.of("left_hand").tips(mapped.readings) @ machine.tools["left_hand"]
     np.testing.assert_allclose(mapped.positions, places[:, :3, 3], atol=1e-12)
+
+    # As an instrument it touches with the tool that is named, of whichever hand.
+    section = InstrumentSection.model_validate(
+        {"kind": "arm", "model": "out", "tool": "left_hand", "sigma": "0.03 mm"}, context={"folder": folder}
+    )
+    touched = read_arm("left", section, folder).arm.points(q)
+    np.testing.assert_allclose(
+        touched, (machine.of("left_hand").tips(q) @ machine.tools["left_hand"])[:, :3, 3], atol=1e-9
+    )
 
     # Corrected commands of one arm are of its joints alone, and take it where they say.
     wanted = {f"{name} [rad]": q[:5, k] for k, name in enumerate(r.name for r in machine.robot.readings)}
