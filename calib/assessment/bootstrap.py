@@ -85,7 +85,7 @@ def bootstrap(
     tools = fit.measurements[0].tools
     if tool not in tools:
         raise MeasurementError(f"{not_calibrated('tool', tool, tools)}.")
-    where = fit.robot.own(readings)
+    where, tip = fit.robot.own(readings), fit.tool_tips.get(tool, fit.robot.tip)
     rng = drawing(seed)
     poses = [pose_groups(data) for data in fit.measurements]
     seen = _seen(fit, fit.measurements)
@@ -109,7 +109,8 @@ def bootstrap(
             failed += 1
         else:
             machine = again.machine
-            tips = again.model.robot.tips(where, machine.deviations, ordinary(where))
+            robot = again.model.robot.with_tip(tip)
+            tips = robot.tips(where, machine.deviations, ordinary(where))
             values.append(again.values)
             positions.append((machine.frames.base @ tips @ machine.frames.tools[tools.index(tool)])[:, :3, 3])
         progress(done + 1, repetitions)

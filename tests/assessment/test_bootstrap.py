@@ -8,7 +8,8 @@ import pytest
 import calib
 from calib.assessment.bootstrap import Kind, _seen, bootstrap, pose_groups
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
-from tests.support import cameras, machines
+from calib.robot.urdf import parse_urdf
+from tests.support import cameras, machines, trees
 from tests.support.machines import Machine, anywhere, pose
 from tests.support.touching import Lab
 
@@ -137,3 +138,21 @@ def test_wrong_wishes_are_refused() -> None:
     (data,) = fit.measurements
     with pytest.raises(IdentificationError, match="too few to be drawn from"):
         bootstrap(replace(fit, measurements=(data.subset([0]),)), readings, 4)
+
+
+def test_a_tool_of_another_tip_is_put_where_it_is() -> None:
+    rng = np.random.default_rng(6)
+    made = trees.tree(rng)
+    robot = calib.load_robot(parse_urdf(trees.urdf().encode(), "tree"), trees.TIPS[0], links=[trees.TIPS[1]])
+    q = made.draw(rng, 60)
+    own = q[:, [made.names.index(reading.name) for reading in robot.readings]]
+    sets = [
+        calib.positions(robot.with_tip(tip), own, (made.link(tip, q) @ trees.TOOLS[tip])[:, :3, 3], sigma=1e-5)
+        for tip in trees.TIPS[:2]
+    ]
+    sets[1] = sets[1].named(tool="left_hand")
+    fit = calib.identify(calib.error_model(robot, offsets="all", placements="all"), sets)
+    found = calib.judging.bootstrap(fit, own[:5], 2, tool="left_hand")
+    seen = sets[1].position
+    assert seen is not None
+    np.testing.assert_allclose(found.positions[0], seen[:5], atol=1e-4)

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,10 @@ def test_commands_take_an_arm_of_several_by_name(cell: tuple[Path, Tree], tmp_pa
         said = run("export", out, "--to", "ros", "-o", tmp_path / f"{k}.yaml", "--json", *options)
         assert said.code == 0, said
         costs.append(json.loads(said.out)["before"])
+        written = (tmp_path / f"{k}.yaml").read_text()
+        tip, tool = (("right_hand", "tool"), ("left_hand", "left_hand"))[k]
+        assert f'tip_link: "{tip}"' in written
+        assert re.findall(r'- name: "(\S+)"\n\s+xyz', written) == [tool]
     assert costs[0] != costs[1]
     said = run("export", out, "--to", "ros", "-o", tmp_path / "none.yaml", "--tool", "tail")
     assert said.code == 1 and "'tail'" in said.err and not (tmp_path / "none.yaml").exists()

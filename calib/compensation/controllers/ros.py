@@ -56,7 +56,12 @@ def export_ros(model: CalibratedMachine) -> Export:
             for joint, offset in zip(moving, d.offsets, strict=True)
         ],
         "base": _frame(model.base),
-        "tools": [{"name": name, **_frame(tool)} for name, tool in model.tools.items()],
+        # Those of other links, of another arm, are not in this tip link.
+        "tools": [
+            {"name": name, **_frame(tool)}
+            for name, tool in model.tools.items()
+            if model.of(name).robot.tip == robot.tip
+        ],
         "terms": terms,
         **_load(robot, model.setup),
     }
