@@ -173,14 +173,15 @@ def before_and_after(
     are two reasons: the reflector of the calibration is not the ball of the test, and with the ball of the calibrated
     arm, the nominal arm would also show what the calibration shifted between the tip link and the tool. Separate
     touches are the better choice, because the tests' own cones would lose three degrees of freedom to the probe.
-    Without any cone, both arms use the first tool of the calibrated arm.
+    Without any cone, both arms use the first tool on the tip of the calibrated arm, or the tip itself.
 
     Raises MeasurementError when a test cannot be evaluated, as of a cone touched in one pose, or lacks what a joint
     term of the arm needs.
     """
     for test in (*tests, *(() if probe is None else (probe,))):
         refuse_lacking(machine.robot, test.conditions, test.where)
-    tool = next(iter(machine.tools.values()))[:3, 3]
+    own = [T[:3, 3] for name, T in machine.tools.items() if machine.of(name).robot.tip == machine.robot.tip]
+    tool = own[0] if own else np.zeros(3)
     return performance(machine.robot.tips, tests, probe, tool), performance(machine.tips, tests, probe, tool)
 
 

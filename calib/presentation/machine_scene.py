@@ -41,8 +41,7 @@ def machine_scene(model: CalibratedMachine, mesh_roots: Sequence[Path] = ()) -> 
     off = (model.base @ robot.tips(readings, conditions=usual))[:, :3, 3] - tips[:, :3, 3]
     extent = float(np.ptp(np.concatenate([tips[:, :3, 3], root[None, :3, 3]]), axis=0).max())
     nominal, apart = led_apart(robot, model.deviations, readings, usual, lambda _: root, magnification(off, extent))
-    own = {name: T[:3, 3] for name, T in model.tools.items() if model.of(name).robot.tip == robot.tip}
-    others = {name: (model.of(name).robot.tip, T[:3, 3]) for name, T in model.tools.items() if name not in own}
+    own, others = _tools(model)
     points = (tips @ model.tools[next(iter(own))])[:, :3, 3] if own else tips[:, :3, 3]
     return Scene(
         title=f"{robot.urdf.name or robot.urdf.where}: calibrated machine",
@@ -76,8 +75,8 @@ def cell_scene(found: "CalibratedCell", title: str, mesh_roots: Sequence[Path] =
         T = found.root @ links[joint.child][0] @ axis_frame(joint.axis)
         axes.append(Mark("axes", joint.name, "axis", T, _AXIS))
     tip = found.root @ links[names[model.robot.tip]]
-    tools = {name: tool[:3, 3] for name, tool in model.tools.items()}
-    points = (tip @ next(iter(model.tools.values())))[:, :3, 3]
+    own, others = _tools(model)
+    points = (tip @ model.tools[next(iter(own))])[:, :3, 3] if own else tip[:, :3, 3]
     return Scene(
         title=title,
         urdf=document,
@@ -85,7 +84,8 @@ def cell_scene(found: "CalibratedCell", title: str, mesh_roots: Sequence[Path] =
         calibrated=arm,
         nominal=None,
         apart=1.0,
-        tools=tools,
+        tools=own,
+        tools_on={name: (names[link], point) for name, (link, point) in others.items()},
         tip=names[model.robot.tip],
         rows=rows,
         measured=points,
@@ -94,6 +94,13 @@ def cell_scene(found: "CalibratedCell", title: str, mesh_roots: Sequence[Path] =
         marks=tuple(axes),
         judged=False,
     )
+
+
+def _tools(model: CalibratedMachine) -> tuple[dict[str, Array], dict[str, tuple[str, Array]]]:
+    """Return the points (3,) of the tools on the tip link, and on other links, each with its link."""
+    tips = {name: model.of(name).robot.tip for name in model.tools}
+    own = {name: T[:3, 3] for name, T in model.tools.items() if tips[name] == model.robot.tip}
+    return own, {name: (tips[name], T[:3, 3]) for name, T in model.tools.items() if name not in own}
 
 
 def led_apart(

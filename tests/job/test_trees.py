@@ -138,6 +138,12 @@ def test_commands_take_an_arm_of_several_by_name(cell: tuple[Path, Tree], tmp_pa
     assert said.code == 1
     assert said.err.endswith("'tail' is not a tip of the job; allowed is 'right_hand', 'left_hand'.\n")
 
+    options = ("--placed-in", "instrument", "--scene", tmp_path / "cell.html", "-q")
+    assert run("cell", out, out, "-o", tmp_path / "cell.urdf", *options).code in (0, 3)
+    scene = (tmp_path / "cell.html").read_text(encoding="utf-8")
+    assert re.search(r'/tools/tool"', scene)
+    assert re.search(r'"robot/[^"/]*left_hand/tools/left_hand"', scene)
+
     scene = (out / "scene.html").read_text(encoding="utf-8")
     for node in ("frames/tip/tools/tool", "robot/left_hand/tools/left_hand", "robot/right_hand/sockets/a"):
         assert f'"{node}"' in scene
