@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
@@ -23,7 +24,7 @@ from calib.foundations.words import listed
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine
-from calib.machine.tool_uncertainty import tool_motions
+from calib.machine.tool_uncertainty import mean_square_shifts, tool_motions
 from calib.machine.turns import turned_towards
 from calib.machine.uncertainty import Uncertainty
 from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions, ordinary
@@ -124,7 +125,7 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
     difference = after.values - before.values
     apart = _along_null_spaces(before, after)
     # An entry that the data determine may have a small part in the null space, and the tool be decimetres off along it.
-    C = sum((side.shown @ side.shown.T for side in (before, after)), apart @ apart.T)
+    sigmas = np.sqrt(sum(np.sum(part**2, axis=1) for part in (before.shown, after.shown, apart)))
     known = free_old & free_new & ~before.unidentifiable & ~after.unidentifiable
     nu = min(machine.known_uncertainty.degrees_of_freedom for machine in (old, new))
     readings = _common_readings(old, new, seed)
@@ -136,7 +137,7 @@ def compare(old: CalibratedMachine, new: CalibratedMachine, *, seed: int = 0) ->
     by_entry = _by_entry(before, tools, readings, told)
     changes = []
     for k in np.flatnonzero(known):
-        sigma = float(np.sqrt(C[k, k]))
+        sigma = float(sigmas[k])
         changes.append(
             Change(
                 entries.names[k],
@@ -344,19 +345,36 @@ def _together(old: _Side, new: _Side, apart: Array) -> tuple[float, int]:
     free = old.free
     scale = old.entries.scale[free][:, None]
     null_basis = np.hstack([side.unseen[side.rows] for side in (old, new)])[free] / scale
-    U, values, _ = svd(null_basis, full_matrices=True)
-    size = int(np.count_nonzero(values > _SAME_DIRECTION * values.max(initial=0.0)))
-    Q = U[:, size:]
-    factors = [Q.T @ (side.shown[free] / scale) for side in (old, new)]
-    both = np.hstack([*factors, Q.T @ (apart[free] / scale)])
+    d = (new.values - old.values)[free] / scale[:, 0]
+    seen = [*(side.shown[free] / scale for side in (old, new)), apart[free] / scale, d[:, None]]
+    *factors, allowed, d_across = _across(null_basis, seen)
+    both = np.hstack([*factors, allowed])
     size = np.linalg.norm(both, axis=1)
     size[size == 0.0] = 1.0
     # Of both together a few more seem to vary: what a parameter moves differs a little from one machine to the other.
     varying = max(np.linalg.matrix_rank(factor / size[:, None], rtol=_ROUNDING) for factor in factors)
     V, spread, _ = svd(both / size[:, None], full_matrices=False)
-    d = (new.values - old.values)[free] / scale[:, 0]
-    z = V[:, :varying].T @ (Q.T @ d / size) / spread[:varying]
+    z = V[:, :varying].T @ (d_across[:, 0] / size) / spread[:varying]
     return float(z @ z), int(varying)
+
+
+def _across(basis: Array, columns: Sequence[Array]) -> list[Array]:
+    """Return columns (n, k) in axes (n - r, k) that stand on all directions of a basis (n, m), of which r differ.
+
+    The axes are never made: of a machine of thousands of joint terms they would take half a gigabyte.
+    """
+    if not basis.size:
+        return list(columns)
+    (reflections, tau), R = scipy.linalg.qr(basis, mode="raw")
+    reflections = reflections[:, : len(tau)]
+    U, values, _ = svd(np.asarray(R[: len(tau)], dtype=np.float64))
+    size = int(np.count_nonzero(values > _SAME_DIRECTION * values.max(initial=0.0)))
+    found = []
+    for part in columns:
+        turned, _, info = scipy.linalg.lapack.dormqr("L", "T", reflections, tau, part, max(64 * part.shape[1], 1))
+        assert info == 0, "shapes are as they should be"
+        found.append(np.vstack([(U.T @ turned[: len(U)])[size:], turned[len(U) :]]))
+    return found
 
 
 def _common_readings(old: CalibratedMachine, new: CalibratedMachine, seed: int) -> Array:
@@ -399,10 +417,8 @@ def _by_entry(side: _Side, tools: Sequence[str], readings: Array, told: Conditio
 
     Of several tools, of the one that it moves most.
     """
-    machine = side.machine
-    columns = np.eye(machine.layout.size + 1)[:-1, side.rows]
-    moved = [tool_motions(machine, columns, readings, tool, conditions=told)[:, :3] for tool in tools]
-    return np.asarray(np.sqrt(np.max([np.mean(np.sum(J**2, axis=1), axis=0) for J in moved], axis=0)))
+    moved = [mean_square_shifts(side.machine, readings, tool, conditions=told) for tool in tools]
+    return np.append(np.sqrt(np.max(moved, axis=0)), 0.0)[side.rows]
 
 
 def _stated(machine: CalibratedMachine, readings: Array, told: Conditions, tools: Sequence[str]) -> float:
@@ -411,7 +427,9 @@ def _stated(machine: CalibratedMachine, readings: Array, told: Conditions, tools
     of_robot = machine.known_uncertainty.shown.copy()
     of_robot[layout.base :] = 0.0
     places = [layout.tools + 6 * names.index(tool) + k for tool in tools for k in range(3)]
-    fitted = np.eye(len(of_robot))[:, [*range(layout.base, layout.tools), *places]]
+    entries = [*range(layout.base, layout.tools), *places]
+    fitted = np.zeros((len(of_robot), len(entries)))
+    fitted[entries, range(len(entries))] = 1.0
     columns = np.hstack([of_robot, fitted])
     moved = [tool_motions(machine, columns, readings, tool, conditions=told)[:, :3] for tool in tools]
     rows = np.concatenate(moved).reshape(-1, columns.shape[1])

@@ -32,6 +32,8 @@ from calib.robot.sampling import random_readings
 
 # Rows whose derivatives are in memory at a time.
 _BLOCK = 500
+# As many where nothing is made of them but sums.
+_FEW = 100
 
 
 @checked
@@ -396,3 +398,17 @@ def tool_motions(
             rows = slice(start, start + _BLOCK)
             (found[rows],) = view.at(readings[rows], told.subset(rows)).motions(changes)
     return found
+
+
+def mean_square_shifts(machine: CalibratedMachine, readings: Array, tool: str, *, conditions: Conditions) -> Array:
+    """Return for each entry (n,) of the state the mean square of how far a unit of it moves the tool, in m^2.
+
+    At readings (N, nr). Of thousands of entries a product with the columns of each takes minutes and gigabytes.
+    """
+    view, found = _View(machine.of(tool), tool, base=True, tool_pose=True), np.zeros(machine.layout.size)
+    with one_thread(of_scipy=False):
+        for start in range(0, len(readings), _FEW):
+            rows = slice(start, start + _FEW)
+            shifts = view.jacobian(view.at(readings[rows], conditions.subset(rows)).motion)[:, :3]
+            found += np.sum(shifts**2, axis=(0, 1))
+    return found / len(readings)

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from calib.foundations.ranges import COUNTS, MOST_RELATED, MOST_TOUCHED
+from calib.foundations.ranges import COUNTS, MOST_RELATED, MOST_TERMS, MOST_TOUCHED
 from calib.job.stated import load_arm
 from calib.machine.gaussian import GaussianResiduals, Kernel, gaussian_bytes
 from calib.robot.load import load_robot
@@ -830,6 +830,27 @@ def _positions_of_terms(folder: Path, size: int) -> None:
     (path.parent / "uncertainty.json").unlink()
 
 
+def _earlier_of_terms(folder: Path, size: int) -> None:
+    """Write earlier results with as many harmonics as fit, all of them free."""
+    earlier = folder / "earlier"
+    shutil.copytree(folder / _RESULTS, earlier)
+    model = json.loads((earlier / "model.json").read_text(encoding="utf-8"))
+    many = min(size // 75, MOST_TERMS)
+    model["terms"] = [
+        {"reading": f"joint_{k // 2000 + 1}", "kind": ("cos", "sin")[k % 2], "order": k // 2 % 1000 + 1}
+        | {"coefficient": 0.0}
+        for k in range(many)
+    ]
+    (earlier / "model.json").write_text(json.dumps(model), encoding="utf-8")
+    path = earlier / "uncertainty.json"
+    known = json.loads(path.read_text(encoding="utf-8"))
+    entries = len(known["factor"]) + many
+    known |= {"schema": 2, "causes": {"instrument": 1}, "factor": [[1e-5]] * entries, "null_basis": [[0.0]] * entries}
+    for key in ("waves", "wind_up", "left_out"):
+        known.pop(key)
+    path.write_text(json.dumps(known), encoding="utf-8")
+
+
 def _poses(folder: Path, size: int) -> None:
     """Write poses that the arm can hardly reach: of one orientation, about the end of its links."""
     (folder / "targets.csv").write_text(
@@ -1526,6 +1547,7 @@ HOSTILE: dict[str, Hostile] = {
         "joints", lambda k: {"name": f"j{k}", "type": "fixed", "deviation": [0.0] * 6, "offset": None}, _COMPENSATE
     ),
     "positions of a machine of many terms": Hostile(_positions_of_terms, _COMPENSATE),
+    "compared terms": Hostile(_earlier_of_terms, ("compare", "earlier", _RESULTS)),
     "packed grid": _packed("grid.npz", _COMPENSATE),
     "packed process": _packed("gaussian.npz", _COMPENSATE),
     **_OTHERS,

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -21,6 +22,7 @@ from calib.machine.of_fit import machine_of
 from calib.machine.residual_model import ResidualModel
 from calib.presentation.acceptance_tables import comparison_sentences, verification_lines
 from calib.robot.joint_terms import with_joint_terms
+from calib.robot.terms import JointTerm
 from calib.robot.urdf import parse_urdf
 from tests.support import machines, trees
 from tests.support.cases import CASE, copy_case, run
@@ -575,6 +577,35 @@ def test_what_stated_priors_decide_has_not_moved() -> None:
     assert compare(found(true, 20), found(with_zero(true, "elbow_joint", 1e-3), 21)).moved
     # Who states priors and who does not have freed the same.
     assert compare(machine_of(calibrated(true, 1)), found(true, 20)).statistic is not None
+
+
+def test_two_calibrations_of_thousands_of_terms_are_compared_in_little_memory() -> None:
+    """Nothing is made that has a number for each two entries."""
+    _, true, _ = machine()
+    u = machine_of(calibrated(true, 1))
+    names = [reading.name for reading in u.robot.readings]
+    terms = [JointTerm(name, kind, order) for name in names for order in range(1, 501) for kind in ("cos", "sin")]
+    robot, known, at = with_joint_terms(u.robot, terms), u.known_uncertainty, u.layout.base
+    more = np.full((len(terms), known.factor.shape[1]), 1e-6)
+    factor, null_basis = (
+        np.insert(of, [at], np.zeros((len(terms), 1)) + rows, axis=0)
+        for of, rows in ((known.factor, more), (known.null_basis, np.zeros((len(terms), known.null_basis.shape[1]))))
+    )
+    many = replace(
+        u,
+        robot=robot,
+        deviations=replace(u.deviations, terms=np.zeros(len(terms))),
+        uncertainty=replace(known, factor=factor, null_basis=null_basis),
+        in_urdf=None,
+    )
+    tracemalloc.start()
+    found = compare(many, many)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert not found.moved
+    assert len(found.changes) >= len(terms)
+    # Derivatives of 500 poses by every entry, and what turns them, take four of these.
+    assert peak < 5.5 * 500 * 6 * 8 * many.layout.size
 
 
 def test_calibrations_that_free_different_parameters_are_compared_at_the_tip() -> None:
