@@ -16,6 +16,7 @@ Photographs of a board are taken for the poses that they show (:mod:`calib.ident
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -135,6 +136,42 @@ def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Apart:
+    """What each table has of its own: its ``tool``, or its ``setup``; by how much the nominal robot misses all of them.
+
+    ``missed``: with one for all, ``left``: with one of each, rms in m.
+    """
+
+    what: Literal["tool", "setup"]
+    missed: float
+    left: float
+
+    @property
+    def sentence(self) -> str:
+        """It, with the evidence."""
+        said = (
+            "the tool is another one in each" if self.what == "tool" else "robot or instrument stood elsewhere in each"
+        )
+        return (
+            f"{said}: the arm misses them by {_mm(self.missed)} with one for all, and by {_mm(self.left)} with its own"
+        )
+
+
+def apart(model: ErrorModel, measurements: Sequence[Measurements]) -> Apart | None:
+    """Return what each of several tables of positions or poses has of its own, None where nothing shows it."""
+    with linear.one_thread(of_scipy=False):
+        seen = [data.at_readings() for data in measurements if len(data) and data.position is not None]
+        if len(seen) < 2 or len(seen) < len(measurements):
+            return None
+        sets = tuple(_spread_rows(data, seen) for data in with_common_names(model, seen))
+        missed, best = _miss(model, sets), _likeliest(_trials_of_tables(model, sets))[0]
+        clearly = missed > max(_CLEARLY * best.miss, _GOOD * model.robot.reach)
+        if not clearly or best.miss > _EXPLAINED * model.robot.reach:
+            return None
+        return Apart("tool" if best.mistake is _TABLES[0] else "setup", missed, best.miss)
+
+
 def _signatures(model: ErrorModel, sets: Sequence[Measurements], camera_on: CameraPlace | None) -> tuple[Finding, ...]:
     filled = [data for data in sets if len(data)]
     if not filled:
@@ -151,9 +188,10 @@ def _signatures(model: ErrorModel, sets: Sequence[Measurements], camera_on: Came
     if camera_on and (found := strays(model, sets)) is not None:
         return (_contradicted(sets, found),)
     every = tuple(range(len(sets)))
+    tables = _trials_of_tables(model, sets) if len(every) > 1 and _seen(sets) and not camera_on else []
     tried: list[_Trial] = []
     for scope in (every, *((i,) for i in every if len(every) > 1)):
-        best, *others = _trials(model, sets, scope, camera_on)
+        best, *others = _likeliest([*_trials(model, sets, scope, camera_on), *tables])
         # Readings that are made too small explain positions that hardly change: a robot that stands still does so too.
         still = _still([best.mistake.mend(sets[i]) for i in scope]) if _seen(sets) else np.inf
         if missed > _CLEARLY * best.counted and best.miss < min(_EXPLAINED * reach, still):
@@ -229,7 +267,8 @@ def _problem(model: ErrorModel, sets: Sequence[Measurements]) -> Problem:
     """Return the problem of a model in which little is unknown; of what an instrument saw, without targets."""
     if not _seen(sets):
         return initial_problem(model.within(sets), sets)
-    return Problem(model, model.parameters(sets[0].tools), initial_frames(model, sets), tuple(sets))
+    parameters = model.parameters(sets[0].tools, sets[0].setups)
+    return Problem(model, parameters, initial_frames(model, sets), tuple(sets))
 
 
 def _seen(sets: Sequence[Measurements]) -> bool:
@@ -284,7 +323,7 @@ def _counted(trial: _Trial) -> float:
 def _trials(
     model: ErrorModel, sets: Sequence[Measurements], scope: tuple[int, ...], camera_on: CameraPlace | None
 ) -> list[_Trial]:
-    """Return trials of the promising mistakes, the best first."""
+    """Return trials of the promising mistakes."""
 
     def mended(mistake: Mistake) -> list[Measurements]:
         return [mistake.mend(data) if i in scope else data for i, data in enumerate(sets)]
@@ -301,10 +340,23 @@ def _trials(
     screened = [_reached(screen, model, mended(mistake)) for mistake in table]
     promising = [table[i] for i in np.sort(np.argsort(screened, kind="stable")[:_PROMISING])]
     mistakes = (*promising, *(_not_in_screening(model, chosen, camera_on) if seen else ()))
-    trials = [_Trial(mistake, scope, _reached(_miss, model, mended(mistake))) for mistake in mistakes]
+    return [_Trial(mistake, scope, _reached(_miss, model, mended(mistake))) for mistake in mistakes]
+
+
+def _likeliest(trials: Sequence[_Trial]) -> list[_Trial]:
+    """Return trials, the best first."""
     least = min(map(_counted, trials))
     # The same to rounding: the order of the table, the most typical first, decides.
     return sorted(trials, key=lambda trial: max(trial.counted, _SAME * least))
+
+
+def _trials_of_tables(model: ErrorModel, sets: Sequence[Measurements]) -> list[_Trial]:
+    """Return trials of what may differ from table to table, and nobody has said: the tool, and where the robot is."""
+    every, found = tuple(range(len(sets))), []
+    for mistake, own in zip(_TABLES, (replace(model, tool="pose"), replace(model, base="pose")), strict=True):
+        mended = with_common_names(own, [mistake.mend(data) for data in sets])
+        found.append(_Trial(mistake, every, _reached(_miss, own, mended)))
+    return found
 
 
 def _reached(
@@ -537,6 +589,23 @@ def _reordered(order: Sequence[int]) -> Mend:
     return _turned(lambda R: rigid.rotation_of_quaternion(rigid.quaternion_of(R)[:, list(order)]))
 
 
+def _tool_of_its_own(data: Measurements) -> Measurements:
+    return replace(data, tools=tuple(f"{name} of {data.where}" for name in data.tools))
+
+
+def _set_up_of_its_own(data: Measurements) -> Measurements:
+    return replace(data, setups=tuple(f"{name} of {data.where}" for name in data.setups))
+
+
+# What differs from table to table; each is to be named in the job.
+_TABLES = (
+    Mistake("own-tools", 'each table has a tool of its own, which tool = "..." names for each', _tool_of_its_own),
+    Mistake(
+        "own-set-ups",
+        'robot or instrument stood elsewhere in each table, which setup = "..." names for each',
+        _set_up_of_its_own,
+    ),
+)
 _READING_UNITS: tuple[tuple[str, float, str], ...] = (
     ("angle", DEG, "degrees stand under [rad] in all angles"),
     ("angle", 1.0 / DEG, "radians stand under [deg] in all angles"),

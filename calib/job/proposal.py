@@ -43,7 +43,10 @@ class Question:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProposedTable:
-    """How one file is read. ``columns``: our names, with units, for the file's; ``rows``: how many it has."""
+    """How one file is read. ``columns``: our names, with units, for the file's; ``rows``: how many it has.
+
+    ``tool`` and ``setup``: the name of its own one, where it has another one than other tables.
+    """
 
     file: str
     observes: Kind
@@ -51,6 +54,8 @@ class ProposedTable:
     use: Literal["identify", "validate"]
     hold_out: float | None
     rows: int
+    tool: str | None = None
+    setup: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,6 +99,9 @@ class Proposal:
         for table in self.tables:
             lines += ["", "[[measurements]]", f"file = {_named(table.file, folder)}"]
             lines.append(f'observes = "{table.observes}"')
+            lines += [
+                f"{key} = {toml_text(name)}" for key, name in (("tool", table.tool), ("setup", table.setup)) if name
+            ]
             lines += table_lines(table.columns)
             if table.use != "identify":
                 lines.append(f'use = "{table.use}"')

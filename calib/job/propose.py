@@ -14,6 +14,8 @@ from calib.foundations.errors import CalibError, JobError, MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import symbols
 from calib.foundations.words import counted, listed, refuse_other, shown
+from calib.identification.error_model import error_model
+from calib.identification.sanity import apart
 from calib.job.chains import Chain, chains
 from calib.job.foreign.answers import Answers, AskedError, ask, run_of
 from calib.job.foreign.reader import read
@@ -22,6 +24,7 @@ from calib.measurement.columns import refuse_joints_like_columns
 from calib.measurement.kinds import Kind
 from calib.measurement.orientations import ORIENTATIONS
 from calib.measurement.raw import raw_table
+from calib.measurement.read import read_measurements
 from calib.measurement.roles import Roles, numbered_columns, roles
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
@@ -30,6 +33,8 @@ from calib.robot.urdf import Urdf, read_urdf
 _HELD_OUT = 0.25
 # Kinds that columns tell; other kinds need what only a job says.
 _TOLD_APART: tuple[Kind, ...] = ("position", "pose", "socket", "distance")
+# Columns that name tools and set-ups row by row.
+_NAMED = {"tool", "setup"}
 _VALIDATION = re.compile(r"valid|verif|test|check|held|control", re.IGNORECASE)
 
 
@@ -86,7 +91,8 @@ def propose(
             "it out."
         )
     shared, said = _shared_out(tables)
-    return Proposal(str(urdf), robot, shared, (*reasons, *said), ())
+    named, why = _named_apart(robot, shared)
+    return Proposal(str(urdf), robot, named, (*reasons, *said, *why), ())
 
 
 def _refuse_answers(answers: Answers) -> None:
@@ -127,6 +133,32 @@ def _shared_out(tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, .
         ), said
     shared = tuple(replace(table, hold_out=_HELD_OUT) for table in tables)
     return shared, [f"{table.file}: {_shares(table)} to judge the rest." for table in shared]
+
+
+def _named_apart(robot: Robot, tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, ...], list[str]]:
+    """Name tools, or set-ups, by their files where each table has one of its own."""
+    own = [table for table in tables if table.use == "identify"]
+    if not all(table.observes in ("position", "pose") and not _NAMED & table.columns.names.keys() for table in own):
+        return tuple(tables), []
+    model = error_model(robot, tool="pose" if any(table.observes == "pose" for table in own) else "position")
+    try:
+        data = [read_measurements(table.file, robot, table.observes, columns=table.columns) for table in own]
+        found = apart(model, data)
+    except CalibError:  # what is wrong with rows, the job says
+        return tuple(tables), []
+    if found is None:
+        return tuple(tables), []
+    stems = [Path(table.file).stem for table in own]
+    name = {table.file: stem if stems.count(stem) == 1 else table.file for table, stem in zip(own, stems, strict=True)}
+    named = tuple(
+        table
+        if table.use != "identify"
+        else replace(table, tool=name[table.file])
+        if found.what == "tool"
+        else replace(table, setup=name[table.file])
+        for table in tables
+    )
+    return named, [f"{', '.join(name)}: {found.sentence}."]
 
 
 def _shares(table: ProposedTable) -> str:

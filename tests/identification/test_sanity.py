@@ -452,3 +452,25 @@ def test_a_real_ur10(observes: str) -> None:
         flipped = replace(data, readings=data.readings * np.where(np.arange(6) == k, -1.0, 1.0))
         (finding,) = signatures(model, [flipped])
         assert f"it looks as if {name!r} is read with the wrong sign" in finding.sentence
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+@pytest.mark.parametrize(("what", "code"), [("tool", "own-tools"), ("setup", "own-set-ups"), (None, None)])
+def test_what_each_table_has_of_its_own_is_named(observes: str, what: str | None, code: str | None) -> None:
+    lab = Lab("ur10", observes)
+    one = replace(lab.measure(), where="one.csv")
+    if what == "tool":
+        lab.true = replace(lab.true, tools={"tool": pose((-0.12, 0.09, 0.02), (1.0, 0.4, -0.7))})
+    if what == "setup":
+        lab.true = replace(lab.true, base=anywhere(lab.rng))
+    two = replace(lab.measure(), where="two.csv")
+    found = signatures(lab.model(), [one, two])
+    assert [finding.code for finding in found] == ([code] if code else [])
+    named = sanity.apart(lab.model(), [one, two])
+    assert (named and named.what) == what
+    if what is not None:
+        assert f'{what} = "..." names for each' in found[0].sentence
+        # Named, nothing is missed.
+        own = [data.named(**{what: str(k)}) for k, data in enumerate((one, two))]
+        assert signatures(lab.model(), own) == ()
+        assert sanity.apart(lab.model(), own) is None
