@@ -11,7 +11,7 @@ found anew, in every set-up of the rows by itself, each takes six of them.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -210,9 +210,6 @@ def verify(
     refuse_lacking(machine.robot, data.conditions, data.where, _IN_ORDER)
     sigma = _sigma(machine, data)
     data.tips(machine.robot, machine.deviations)  # refuses rows whose loops do not close
-    if machine.residual_model is not None:
-        # Of a Gaussian process this is what takes long, and the same wherever base and tool are.
-        machine = replace(machine, residual_model=machine.residual_model.remembering())
     as_calibrated = _judged(machine, data, sigma, None)
     wanted: Anew | None = ("both" if refit_tool else "base") if refit else "tool" if refit_tool else None
     anew: dict[Anew, FoundAnew] = {}

@@ -86,21 +86,6 @@ class Kernel(NamedTuple):
         return found
 
 
-class _Said(NamedTuple):
-    """What a process has said, by the bytes of points.
-
-    Of one point its variance in m^2; of several (N, k) their errors (N, 3) in m, and the covariance (N, N) of these.
-    """
-
-    variances: dict[bytes, float]
-    vectors: dict[bytes, Array]
-    covariances: dict[bytes, Array]
-
-    def know(self, points: Array, variances: Array) -> None:
-        """Keep the variances (N,) at points (N, k)."""
-        self.variances.update(zip((point.tobytes() for point in points), variances.tolist(), strict=True))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianResiduals:
     """A Gaussian process of error vectors over some joints. Made by :func:`gaussian_from_residuals`.
@@ -109,7 +94,7 @@ class GaussianResiduals:
     follow. ``points`` (n, k): where in rad and m the ``errors`` (n, 3) were measured, in m, in the axes of ``frame``.
     ``factor`` (n, n), ``weights`` (n, 3): lower Cholesky factor of the covariance of the rows, and its inverse times
     the errors. ``turning``: of all joints, or none, whether a whole turn brings them back. ``setups``,
-    ``tools``: as of a grid. ``said``: what :meth:`remembering` keeps.
+    ``tools``: as of a grid.
     """
 
     __repr__ = brief
@@ -125,11 +110,6 @@ class GaussianResiduals:
     turning: tuple[bool, ...] = ()
     setups: tuple[str, ...] = ()
     tools: tuple[str, ...] = ()
-    said: "_Said | None" = None
-
-    def remembering(self) -> "GaussianResiduals":
-        """Return the same, which goes through its rows once for readings that it is asked about again and again."""
-        return replace(self, said=_Said({}, {}, {}))
 
     @property
     def rows(self) -> int:
@@ -141,32 +121,20 @@ class GaussianResiduals:
 
         With ``clamp`` or without: nothing is extrapolated.
         """
-        points = self._points(readings)
-        found: Array | None = None if self.said is None else self.said.vectors.get(points.tobytes())
-        if found is None:
-            found = np.zeros((len(points), 3))
-            for start in range(0, len(points), _BLOCK):
-                rows = slice(start, start + _BLOCK)
-                found[rows] = self.kernel.between(points[rows], self.points) @ self.weights
-            if self.said is not None:
-                self.said.vectors[points.tobytes()] = found
-        return np.array(found)
+        blocks = [self.kernel.between(points, self.points) @ self.weights for points in self._blocks(readings)]
+        return np.concatenate([np.zeros((0, 3)), *blocks])
 
     def sigma(self, readings: Array) -> Array:
         """Return the standard deviation (N) in m of each component of :meth:`at` from the true error, without noise."""
-        points = self._points(readings)
-        said = {} if self.said is None else self.said.variances
-        variances = np.array([said.get(point.tobytes(), np.nan) for point in points])
-        new = np.flatnonzero(np.isnan(variances))
-        for start in range(0, len(new), _BLOCK):
-            rows = new[start : start + _BLOCK]
-            known = scipy.linalg.solve_triangular(
-                self.factor, self.kernel.between(self.points, points[rows]), lower=True
+        prior = self.kernel.amplitude**2
+        known = [
+            np.sum(
+                scipy.linalg.solve_triangular(self.factor, self.kernel.between(self.points, points), lower=True) ** 2,
+                axis=0,
             )
-            variances[rows] = self.kernel.amplitude**2 - np.sum(known**2, axis=0)
-        if self.said is not None:
-            self.said.know(points[new], variances[new])
-        return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
+            for points in self._blocks(readings)
+        ]
+        return np.sqrt(np.maximum(prior - np.concatenate([np.zeros(0), *known]), 0.0))
 
     def shifts(self, base: Array, tips: Array, readings: Array) -> Array:
         """Return the error vectors (N, 3) in the axes of the instrument.
@@ -205,14 +173,8 @@ class GaussianResiduals:
     def own_errors(self, readings: Array, noise: float) -> Array:
         """Return a factor (N, N) of the covariance of the true errors given the rows, of :meth:`sigma` and scatter."""
         points = self._points(readings)
-        covariance = None if self.said is None else self.said.covariances.get(points.tobytes())
-        if covariance is None:
-            known = scipy.linalg.solve_triangular(self.factor, self.kernel.between(self.points, points), lower=True)
-            covariance = self.kernel.between(points, points) - known.T @ known
-            if self.said is not None:
-                self.said.covariances[points.tobytes()] = covariance
-                self.said.know(points, np.diag(covariance))
-        covariance = np.array(covariance)
+        known = scipy.linalg.solve_triangular(self.factor, self.kernel.between(self.points, points), lower=True)
+        covariance = self.kernel.between(points, points) - known.T @ known
         covariance[np.diag_indices_from(covariance)] += self.scatter(noise) ** 2
         values, vectors = np.linalg.eigh(covariance)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
@@ -225,6 +187,10 @@ class GaussianResiduals:
     def _points(self, readings: Array) -> Array:
         """Return the readings (N, nr) of its joints (N, k), turned towards the rows where beyond all of them."""
         return points_of(readings, self.joints, self.points.min(axis=0), self.points.max(axis=0), self.turning)
+
+    def _blocks(self, readings: Array) -> list[Array]:
+        points = self._points(readings)
+        return [points[n : n + _BLOCK] for n in range(0, len(points), _BLOCK)]
 
 
 # ---- from measured errors

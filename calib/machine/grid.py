@@ -101,10 +101,6 @@ class SectorGrid:
         axes = axes_of(self.frame, base, tips)
         return np.asarray((axes @ np.nan_to_num(self.at(readings))[:, :, None])[:, :, 0])
 
-    def remembering(self) -> "SectorGrid":
-        """Return the grid: it is as quick again."""
-        return self
-
     def leaning(self, readings: Array) -> Leaning:
         """Return the corners of each cell and their weights; none in rows where the grid has no values."""
         N = len(readings)

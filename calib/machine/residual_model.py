@@ -28,10 +28,6 @@ class ResidualModel(Protocol):
     def rows(self) -> int:
         """How many measured rows are gone through for every vector."""
 
-    def remembering(self) -> "ResidualModel":
-        """Return the same, to be asked about the same readings again and again."""
-        return self
-
     def at(self, readings: Array, *, clamp: bool = False) -> Array:
         """Return vectors (N, 3) in m to add to predicted positions at readings (N, nr), finite where it clamps."""
 

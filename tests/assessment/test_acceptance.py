@@ -16,7 +16,6 @@ from calib.assessment import acceptance
 from calib.assessment.acceptance import verify
 from calib.assessment.drift import compare
 from calib.foundations.errors import MeasurementError
-from calib.machine.gaussian import GaussianResiduals, Kernel, gaussian_from_residuals
 from calib.machine.grid import Leaning, grid_from_residuals
 from calib.machine.of_fit import machine_of
 from calib.machine.residual_model import ResidualModel
@@ -364,31 +363,6 @@ def test_many_rows_of_a_grid_are_judged_some_at_a_time(monkeypatch: pytest.Monke
     whole = verify(known, data).as_calibrated.test
     monkeypatch.setattr(acceptance, "_TOGETHER", 10)
     assert verify(known, data).as_calibrated.test.statistic == pytest.approx(whole.statistic, rel=1e-9)
-
-
-def test_a_process_goes_through_its_rows_once_for_all_that_is_found_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, true, _ = machine()
-    u, data, there = machine_of(calibrated(true, 1)), seen(true, 40, 2), seen(true, 90, 3)
-    errors = np.random.default_rng(4).normal(0.0, 1e-4, (90, 3))
-    known = gaussian_from_residuals(there.readings, errors, u.robot.readings)
-    asked: list[int] = []
-
-    def between(kernel: Kernel, a: Array, b: Array) -> Array:
-        asked.append(len(a) * len(b))
-        return plainly(kernel, a, b)
-
-    plainly = Kernel.between
-    monkeypatch.setattr(Kernel, "between", between)
-    found = verify(replace(u, residual_model=known), data)
-    assert len(found.anew) == 3
-    # For the errors that it tells, and for how sure it is; and between the rows themselves.
-    assert sum(asked) == 2 * 40 * 90 + 40 * 40
-    # What it remembers is what it says.
-    said = known.remembering()
-    for ask in (GaussianResiduals.at, GaussianResiduals.sigma, lambda one, at: one.own_errors(at, 1e-5)):
-        once, again = (ask(said, data.readings) for _ in range(2))
-        np.testing.assert_array_equal(once, again)
-        np.testing.assert_allclose(once, ask(known, data.readings), rtol=1e-9, atol=1e-15)
 
 
 def test_the_order_of_rows_and_the_place_of_the_world_do_not_matter() -> None:
