@@ -11,7 +11,7 @@ found anew, in every set-up of the rows by itself, each takes six of them.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -37,6 +37,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, svd
 from calib.foundations.ranges import refuse_beyond
 from calib.machine.calibrated import CalibratedMachine
+from calib.machine.remembered import Remembered
 from calib.machine.tool_uncertainty import common_errors, residual_errors, row_freedom, row_noise
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.measurements import Measurements
@@ -207,6 +208,8 @@ def verify(
     if not len(data):
         raise MeasurementError(f"{data.where}: has no rows to verify by.")
     data = _of_this_machine(machine, data)
+    if machine.residual_model is not None:  # of the same rows it is asked with every base and tool
+        machine = replace(machine, residual_model=Remembered(machine.residual_model))
     refuse_lacking(machine.robot, data.conditions, data.where, _IN_ORDER)
     sigma = _sigma(machine, data)
     data.tips(machine.robot, machine.deviations)  # refuses rows whose loops do not close

@@ -731,14 +731,14 @@ def _candidates(folder: Path, size: int) -> None:
     _table(folder / "candidates.csv", ",".join(header.split(",")[:joints]), rows[:, :joints])
 
 
-def _verified(folder: Path, size: int) -> None:
-    """Write rows to verify by, and a Gaussian process of a thousand rows in the folder of results."""
+def _verified(folder: Path, size: int, of: int = 1000) -> None:
+    """Write rows to verify by, and a Gaussian process of so many rows in the folder of results."""
     path = folder / _RESULTS / "model.json"
     model = json.loads(path.read_text(encoding="utf-8"))
     path.write_text(json.dumps(model | {"residual_model": "gaussian.npz"}), encoding="utf-8")
     robot = load_robot(folder / "arm_cmm.urdf", "probe")
     rng, names = np.random.default_rng(0), tuple((r.name, r.dimension) for r in robot.readings)
-    points, errors = rng.uniform(-2.0, 2.0, (1000, len(names))), rng.normal(0.0, 1e-4, (1000, 3))
+    points, errors = rng.uniform(-2.0, 2.0, (of, len(names))), rng.normal(0.0, 1e-4, (of, 3))
     none, kernel = np.zeros((0, 0)), Kernel(1e-4, np.full(len(names), 1.0), 5e-5)
     numbers = tuple(range(len(names)))
     process = GaussianResiduals(names, numbers, points, errors, "base", kernel, none, none)
@@ -1527,6 +1527,9 @@ HOSTILE: dict[str, Hostile] = {
     "a process of many rows": _rows(lambda _: "", "", (("[error_model]", _PROCESS),)),
     "a process of noise": Hostile(_different((("[error_model]", _PROCESS),))),
     "verified by a process": Hostile(_verified, ("verify", _RESULTS, "new.csv")),
+    "verified by the largest process": Hostile(
+        lambda folder, size: _verified(folder, size // 4, 5000), ("verify", _RESULTS, "new.csv")
+    ),
     "candidates of a plan": Hostile(_candidates, _CHOOSE),
     "candidates of a plan of poses": Hostile(_candidates, (*_CHOOSE, "--observes", "pose")),
     "candidates of a plan with a target": Hostile(_candidates, (*_CHOOSE, "--target", "0.01 mm")),

@@ -16,6 +16,7 @@ from calib.assessment import acceptance
 from calib.assessment.acceptance import verify
 from calib.assessment.drift import compare
 from calib.foundations.errors import MeasurementError
+from calib.machine.gaussian import Kernel, gaussian_from_residuals
 from calib.machine.grid import Leaning, grid_from_residuals
 from calib.machine.of_fit import machine_of
 from calib.machine.residual_model import ResidualModel
@@ -348,6 +349,25 @@ def test_what_a_grid_gets_wrong_is_expected(one_node: bool) -> None:
     ratios = np.array([test.statistic / test.degrees_of_freedom for test in tests])
     assert 0.9 < ratios.mean() < 1.1
     assert all(test.passed for test in tests)
+
+
+def test_a_residual_model_looks_once_at_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many ways there are of finding base and tool anew; a process goes through all its rows for each look."""
+    _, true, _ = machine()
+    u, rng = machine_of(calibrated(true, 1)), np.random.default_rng(2)
+    readings = true.arm.draw(rng, 40)
+    process = gaussian_from_residuals(readings, rng.normal(scale=1e-4, size=(40, 3)), u.robot.readings)
+    data, seen_by, between = seen(true, 20, 8), list[int](), Kernel.between
+
+    def counted(kernel: Kernel, a: Array, b: Array) -> Array:
+        seen_by.append(len(a) * len(b))
+        return between(kernel, a, b)
+
+    monkeypatch.setattr(Kernel, "between", counted)
+    found = verify(replace(u, residual_model=process), data)
+    assert set(found.anew) == {"base", "tool", "both"}
+    # Its errors, how sure it is of them, and what neighbours have in common.
+    assert sum(seen_by) <= 3 * 20 * 40 + 20 * 20
 
 
 def test_many_rows_of_a_grid_are_judged_some_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
