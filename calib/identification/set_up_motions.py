@@ -319,6 +319,6 @@ class SetUpMotions:
             if unknown is not None and self._motions.grows:
                 # What is left of the measured length when the unknown part is taken away grows.
                 length = data.value[0, 0] if "radius" in data.uses else -data.value[0, 0]
-                row, left = by_scalars[unknown], at.frames.scalars[unknown] + length
-                Z[:, turns] = np.where(row != 0.0, left * row / (row @ row), Z[:, turns])
+                row, known = by_scalars[unknown], at.frames.scalars[unknown] + length
+                Z[:, turns] = np.where(row != 0.0, known * row / (row @ row), Z[:, turns])
         return Z

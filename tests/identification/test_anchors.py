@@ -15,6 +15,7 @@ from calib.identification.sanity import signatures
 from calib.identification.targets import Target
 from tests.support import machines
 from tests.support.machines import Array
+from tests.support.touching import lab
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
 PANDA = ("example:panda_description/urdf/panda.urdf", "panda_hand")
@@ -72,6 +73,15 @@ def test_of_an_anchor_on_a_circle_nothing_is_told() -> None:
     of_targets = np.array([parameter.kind == "target" for parameter in fit.parameters])
     assert fit.unidentifiable[of_targets].all()
     assert not fit.unidentifiable[~of_targets].any()
+
+
+def test_two_tables_of_balls_of_unknown_radius() -> None:
+    """With nothing of a known size, which the search for what no row sees has to know of every table."""
+    of = lab(3, noise=1e-5)
+    sets = [of.sphere(60, offset="ball"), of.sphere(40, offset="ball")]
+    fit = calib.identify(calib.error_model(of.robot, offsets="all", placements="all"), sets)
+    assert fit.converged
+    assert np.sqrt(np.mean(np.concatenate(fit.residuals) ** 2)) < 2e-5
 
 
 def test_lengths_find_tool_and_anchors() -> None:
