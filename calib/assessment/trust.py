@@ -6,10 +6,11 @@ docs/verdicts.md, which a script writes.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.assessment.causes import LEAST_LEFT, Cause, causes
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.checks.shown_range import shown_range
 from calib.assessment.control import doubt, names_of_mirrored, unchecked
@@ -29,8 +30,8 @@ from calib.assessment.effects import (
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.mixed_machines import mixed_machines
-from calib.assessment.outliers import Outliers
-from calib.assessment.own_base import OwnBase
+from calib.assessment.outliers import Outliers, outliers
+from calib.assessment.own_base import OwnBase, tables_with_own_base
 from calib.assessment.places import unshown
 from calib.assessment.stretches import pose_by_pose, stretches
 from calib.foundations.chance import exceeded
@@ -38,6 +39,7 @@ from calib.foundations.linear import one_thread
 from calib.foundations.words import listed, noun
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
+from calib.machine.of_fit import machine_of
 from calib.measurement.checks import Finding
 
 _COMPLIANCE, _BACKLASH = ".elastic", ".backlash"
@@ -46,6 +48,15 @@ _UNLIKE = 3.0
 # Standard deviations of a stated prior by which what is found may be off. A scale is that of a board's print, which is
 # stated to half a percent and mostly right to two tenths.
 _OFF = 4.0
+# Checks that say what is wrong, and those that say that something is.
+_OF_CAUSES = frozenset(
+    {
+        *("explained", "stated sigma", "jump", "drift", "delay", "timing", "at rest", "gear", "axes", "groups"),
+        *("set-ups", "one machine", "outliers", "lengths"),
+    }
+)
+_OF_WHAT_IS_LEFT = _OF_CAUSES | {"improvement", "prediction", "regions"}
+_NO_DOUBT = "No check asks for a cause."
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +132,43 @@ def verdict(
             "one of them is in the tool. Measure one more pose with it.",
         )
     return Verdict(told, shown)
+
+
+def with_cause(found: Verdict, fit: Fit, sets: Sequence[JudgedSet]) -> Verdict:
+    """Return the verdict of a fit with a check for what explains what is left, where it is doubted.
+
+    It comes first. What other checks said to be wrong, and do not find then, is no more said.
+    """
+    cause = next(filter(None, (_found_with(one) for one in _causes(found, fit, sets))), None)
+    if cause is None:
+        said = "No few rows and no stated length explain what a check found." if found.doubts else _NO_DOUBT
+        return replace(found, checks=(*found.checks, Check.idle("cause", LEAST_LEFT, said)))
+    one, again = cause
+    passed = {check.name for check in again.checks if check.passed}
+    first = Check.of("cause", np.sqrt(one.left), LEAST_LEFT, False, one.sentence)
+    checks = (
+        replace(check, sentence=_instead(check)) if check.name in passed and not check.passed else check
+        for check in found.checks
+    )
+    return replace(found, checks=(first, *checks))
+
+
+def _instead(check: Check) -> str:
+    return f"The check {check.name!r} does not pass, but would without that."
+
+
+def _causes(found: Verdict, fit: Fit, sets: Sequence[JudgedSet]) -> tuple[Cause, ...]:
+    failed = {check.name for check in found.checks if not check.passed}
+    return causes(fit, sets) if failed & _OF_WHAT_IS_LEFT else ()
+
+
+def _found_with(cause: Cause) -> tuple[Cause, Verdict] | None:
+    """Return a cause and the verdict with it, None where something else seems wrong then too."""
+    machine = machine_of(cause.fit)
+    moved = tables_with_own_base(cause.fit.model, machine, cause.sets)
+    again = verdict(cause.fit, machine, cause.sets, outliers(cause.fit), (), moved)
+    failed = {check.name for check in again.checks if not check.passed}
+    return None if failed & _OF_CAUSES else (cause, again)
 
 
 def remarks(fit: Fit) -> tuple[Finding, ...]:

@@ -17,7 +17,7 @@ from calib.assessment.judged import Accepted, Check, JudgedSet, Use
 from calib.assessment.metrics import Metrics, metrics
 from calib.assessment.outliers import Outliers, outliers
 from calib.assessment.own_base import tables_with_own_base
-from calib.assessment.trust import remarks, verdict
+from calib.assessment.trust import remarks, verdict, with_cause
 from calib.foundations.arguments import checked
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
@@ -247,6 +247,8 @@ def assess(
     found = outliers(fit, files={table.where: name for name, table in zip(given, own, strict=False)})
     moved = tables_with_own_base(fit.model, machine, sets)
     judged_fit = verdict(fit, machine, sets, found, findings, moved)
+    if residual_model is None and trace is None:
+        judged_fit = with_cause(judged_fit, fit, sets)
     return Calibration(
         fit,
         machine,

@@ -102,7 +102,7 @@ def failed(found: calib.Calibration) -> set[str]:
 def test_a_sound_calibration_passes_all_checks(cell: Cell, fit: calib.Fit) -> None:
     found = calib.assess(fit, cell.measured(cell.draw(20)))
     assert (found.trusted, found.doubts, failed(found)) == (True, (), set())
-    assert len({check.name for check in found.checks}) == len(found.checks) == 28
+    assert len({check.name for check in found.checks}) == len(found.checks) == 29
     assert found.shown[0].startswith("Shown for the measured range: ")
     alone = calib.assess(fit)
     assert alone.trusted

@@ -1,0 +1,229 @@
+"""What is wrong where a fit is doubted: what leaves least, where it is taken for otherwise than the job says.
+
+A few rows that lie far off, and a length that is stated wrong, bend a whole fit: what is left then looks like a base or
+a target that moved, and checks that are made for those say so. So a fit that is doubted is tried once with such rows
+passed over, by a robust loss, and once with lengths that are stated free, each of its own. A cause is named where it
+brings the scatter to half or less, and all checks of what else may be wrong then pass; of several, that which leaves
+least. Rows that lie far off, all by one motion of base, tool or a joint, are no such rows: something moved.
+"""
+
+from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.assessment.checks.of_fit import ROUNDING
+from calib.assessment.checks.of_rows import FAR, MANY, RARELY, SURE
+from calib.assessment.influence import Residue
+from calib.assessment.judged import JudgedSet
+from calib.assessment.stretches import Stretch, stretches
+from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.chance import bound, exceeded
+from calib.foundations.errors import CalibError
+from calib.foundations.units import MM
+from calib.foundations.words import noun
+from calib.identification.fit import Fit
+from calib.identification.identify import identify, identify_near, residuals_of
+from calib.measurement.kinds import QUANTITIES
+from calib.measurement.measurements import Measurements
+from calib.measurement.scalars import Scalar
+
+# Of more rows nothing is tried, nor of many if the search was long.
+_MOST_ROWS, _FEW_ROWS, _MOST_EVALUATIONS = 10_000, 1000, 60
+# A cause brings the scatter of what is left to this share or less.
+LEAST_LEFT = 0.5
+_LISTED = 3
+# Of more targets each table has one length in common.
+_MOST_TARGETS = 10
+_ROLES = {"distance": "offset", "pair_distance": "offset", "sphere": "radius"}
+
+
+class Cause(NamedTuple):
+    """What explains what is left: ``fit`` is as it is then, ``sets`` are as that leaves them; ``left``: of squares."""
+
+    sentence: str
+    fit: Fit
+    sets: tuple[JudgedSet, ...]
+    left: float
+
+
+def causes(fit: Fit, sets: Sequence[JudgedSet]) -> tuple[Cause, ...]:
+    """Return what may explain what a doubted fit leaves, the one that leaves least first.
+
+    Nothing of a fit of other rows than these sets are, of levels; of very many rows, or where the search was long.
+    """
+    own = [one for one in sets if one.use == "identification"]
+    rows = sum(map(len, fit.measurements))
+    costly = rows > _MOST_ROWS or (rows > _FEW_ROWS and fit.evaluations > _MOST_EVALUATIONS)
+    if costly or [len(one.data) for one in own] != [len(data) for data in fit.measurements]:
+        return ()
+    found = [one for one in (_passed_over(fit, sets), _other_lengths(fit, sets)) if one is not None]
+    return tuple(sorted(found, key=lambda one: one.left))
+
+
+def _judged(fit: Fit, sets: Sequence[JudgedSet], tables: Sequence[Measurements]) -> tuple[JudgedSet, ...]:
+    """Return tables, of the same ``sets`` each by itself, as a fit leaves them."""
+    before, after = (residuals_of(fit, tables, machine) for machine in (fit.nominal, fit.machine))
+    every = zip(sets, tables, before, after, strict=True)
+    return tuple(JudgedSet(one.use, one.file, data, b, a) for one, data, b, a in every)
+
+
+# ---- rows that lie far off
+
+
+def _passed_over(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
+    """Return what is left if rows that lie far off are passed over."""
+    if any(loss != "linear" for loss in fit.losses):
+        return None
+    try:
+        found = identify_near(fit, fit.model, fit.measurements, losses=["cauchy"] * len(fit.measurements))
+        judged = _judged(found, sets, [one.data for one in sets])
+    except CalibError:
+        return None
+    if not found.converged:
+        return None
+    parts = stretches(Residue.of(found, {}))
+    told, left = [], []
+    own = [one for one in judged if one.use == "identification"]
+    for one, r, data in zip(own, fit.residuals, found.measurements, strict=True):
+        scale = _scales(one)
+        now, before = ((x / scale) ** 2 for x in (one.after, r))
+        far = np.any(
+            [
+                np.sum(now[:, q.columns], axis=1) > FAR**2 * (q.columns.stop - q.columns.start)
+                for q in QUANTITIES[one.data.kind]
+            ],
+            axis=0,
+        )
+        share = float(np.sum(now[~far])) / max(float(np.sum(before)), 1e-300)
+        if not far.any() or share > LEAST_LEFT**2 or np.mean(far) > MANY:
+            continue
+        if any(part.data is data and _are_one_motion(part, far) for part in parts):
+            continue
+        told.append(_rows_said(one, far, share))
+        left.append(share)
+    return Cause(" ".join(told), found, judged, min(left)) if told else None
+
+
+def _are_one_motion(part: Stretch, far: BoolArray) -> bool:
+    """Return whether a motion of base, tool or a joint explains rows (N,): then they are another machine's."""
+    rows = far[part.row.astype(np.intp)]
+    r = part.r[rows].ravel()
+    for Z in (part.by_base, part.by_tool, *np.moveaxis(part.by_joint[..., None], 2, 0)):
+        D = Z[rows].reshape(len(r), -1)
+        rest = r - D @ np.linalg.lstsq(D, r, rcond=None)[0]
+        left, freedom = float(rest @ rest), len(r) - D.shape[1]
+        gained = (float(r @ r) - left) / max(left, part.least) * freedom
+        if freedom > 0 and left < LEAST_LEFT**2 * float(r @ r) and exceeded(gained, D.shape[1], freedom) < RARELY:
+            return True
+    return False
+
+
+def _scales(one: JudgedSet) -> Array:
+    """Return the standard deviations (d,) of a table's numbers as most of its rows tell them."""
+    scale = np.empty(one.after.shape[1])
+    for quantity in QUANTITIES[one.data.kind]:
+        squares = np.sum(one.after[:, quantity.columns] ** 2, axis=1)
+        d = quantity.columns.stop - quantity.columns.start
+        scale[quantity.columns] = max(float(np.sqrt(np.median(squares) / bound(0.5, d))), ROUNDING)
+    return scale
+
+
+def _rows_said(one: JudgedSet, far: BoolArray, share: float) -> str:
+    """Return what is said of rows that lie far off."""
+    errors = np.linalg.norm(one.after[:, QUANTITIES[one.data.kind][0].columns], axis=1)
+    worst = np.flatnonzero(far)[np.argsort(-errors[far], kind="stable")][:_LISTED]
+    lines = ", ".join(str(line) for line in sorted(one.data.lines[worst].tolist()))
+    many = int(far.sum())
+    which = f"{noun(many, 'row')} {lines}" if many <= _LISTED else f"{many} rows, {lines} the farthest,"
+    return (
+        f"{one.file}: {which} {'lies' if many == 1 else 'lie'} far from the rest, and without "
+        f"{'it' if many == 1 else 'them'} what is left scatters {1.0 / np.sqrt(share):.2g} times less: look at "
+        f'{"it" if many == 1 else "them"}, and let such rows weigh little: loss = "cauchy".'
+    )
+
+
+# ---- lengths that are stated wrong
+
+
+def _other_lengths(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
+    """Return what is left if lengths that are stated are each longer by what fits best."""
+    split = [list(_freed(data)) for data in fit.measurements]
+    free = {data.scalars[k].name for parts in split for data, k in parts if k is not None}
+    if not free:
+        return None
+    tables = [data for parts in split for data, _ in parts]
+    losses = [loss for parts, loss in zip(split, fit.losses, strict=True) for _ in parts]
+    every = [(one, data) for one in sets for data, _ in _freed(one.data)]
+    try:
+        found = identify(fit.model, tables, losses=losses)
+        judged = _judged(found, [one for one, _ in every], [data for _, data in every])
+    except CalibError:
+        return None
+    if not found.converged:
+        return None
+    now, before = (
+        sum(float(np.sum(r**2)) for r, data in zip(residuals, of, strict=True) if data.kind in _ROLES)
+        for residuals, of in ((found.residuals, found.measurements), (fit.residuals, fit.measurements))
+    )
+    share = now / max(before, 1e-300)
+    if share > LEAST_LEFT**2:
+        return None
+    wrong = _wrong(found, free)
+    return Cause(" ".join(_lengths_said(own) for own in wrong.values()), found, judged, share) if wrong else None
+
+
+def _wrong(found: Fit, free: AbstractSet[str]) -> dict[str, list[tuple[Measurements, float]]]:
+    """Return by file the rows whose lengths surely are others than is stated, and by how much longer they would be."""
+    value_of = {
+        p.name: (float(v), float(s)) for p, v, s in zip(found.parameters, found.values, found.sigmas, strict=True)
+    }
+    wrong: dict[str, list[tuple[Measurements, float]]] = {}
+    for data, r in zip(found.measurements, found.residuals, strict=True):
+        for name in free & {data.scalars[k].name for k in data.uses.values()}:
+            value, sigma = value_of[name]
+            # Where the size of the arm is not known, nor is that of a length beside it, but for what it leaves.
+            if abs(value) > SURE * max(sigma if sigma > 0.0 else 0.0, float(np.std(r))):
+                wrong.setdefault(data.where, []).append((data, value))
+    return wrong
+
+
+def _freed(data: Measurements) -> Iterator[tuple[Measurements, int | None]]:
+    """Yield rows with an unknown number of their own for what is stated of them, and which of their scalars that is."""
+    role = _ROLES.get(data.kind)
+    if role is None or role in data.uses or not len(data):
+        yield data, None
+        return
+    each = [data.target == t for t in np.unique(data.target)]
+    for rows in each if len(each) <= _MOST_TARGETS else [np.ones(len(data), dtype=np.bool_)]:
+        part = data.subset(np.flatnonzero(rows))
+        what = data.targets[part.target[0]] if len(each) <= _MOST_TARGETS and part.target[0] >= 0 else data.where
+        scalar = Scalar(f"length.{what} as stated.{role}", "m", size=1e-3, weak_prior=10.0)
+        yield (
+            replace(part, scalars=(*part.scalars, scalar), uses={**part.uses, role: len(part.scalars)}),
+            len(part.scalars),
+        )
+
+
+def _lengths_said(wrong: Sequence[tuple[Measurements, float]]) -> str:
+    """Return what is said of lengths of a file that would be longer by so much each."""
+    wrong = sorted(wrong, key=lambda one: -abs(one[1]))
+    first = wrong[0][0]
+    names = [repr(data.targets[data.target[0]]) for data, _ in wrong if data.target[0] >= 0][:_LISTED]
+    more = len(wrong) - len(names)
+    which = (", ".join(names) + (f" and {more} more" if more and names else "")) or "its gauges"
+    several = len(wrong) > 1
+    if first.kind == "sphere":
+        data, value = wrong[0]
+        stated = float(np.median(data.value[:, 0]))
+        said = (
+            f"{which} {'were' if several else 'was'} touched {(stated + value) / MM:.4g} mm from the centre and not "
+            f"{stated / MM:.4g} mm, the half of ball and diameter: is a radius told as a diameter, or "
+            "a diameter as a radius"
+        )
+    else:
+        each = ", ".join(f"{-value / MM:+.4g} mm" for _, value in wrong[:_LISTED])
+        said = f"lengths to {which} are off by {each}: is what belongs to all of them counted"
+    return f"{first.where}: what is left is explained if {said}? length_offset lets this be found."

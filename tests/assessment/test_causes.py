@@ -1,0 +1,81 @@
+"""What is wrong with rows that a fit does not explain: rows that lie far off, or lengths that are stated wrong."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from tests.support import machines
+from tests.support.touching import lab
+
+Array = np.ndarray
+Spoil = Callable[[Array, np.random.Generator], Array]
+UR5 = ("example:ur_description/urdf/ur5_robot.urdf", "tool0")
+
+
+def told(found: calib.Calibration) -> str:
+    (check,) = (check for check in found.checks if check.name == "cause")
+    return "" if check.passed else check.sentence
+
+
+def table(spoil: Spoil, seed: int = 4) -> tuple[calib.Calibration, calib.Calibration]:
+    """A calibration of a UR5 from 100 positions that are spoilt, by least squares and by a robust loss."""
+    rng = np.random.default_rng(seed)
+    robot = calib.load_robot(*UR5)
+    machine = machines.Machine(
+        machines.arm(*UR5).moved(rng), machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))}
+    )
+    data, rest = (machine.measure(robot, rng.uniform(-2, 2, (n, 6)), rng=rng, sigma=5e-5) for n in (100, 30))
+    assert data.position is not None
+    data = replace(data, position=spoil(data.position.copy(), rng))
+    model = calib.error_model(robot, offsets="all", placements="all")
+    least, robust = calib.identify(model, data), calib.identify(model, data, losses=["cauchy"])
+    return calib.assess(least, rest), calib.assess(robust, rest)
+
+
+def few(x: Array, rng: np.random.Generator) -> Array:
+    x[[1, 40, 77]] += rng.normal(scale=0.03, size=(3, 3))
+    return x
+
+
+def moved(x: Array, rng: np.random.Generator) -> Array:
+    x[90:] += (0.02, -0.01, 0.01)
+    return x
+
+
+def test_rows_that_lie_far_off_are_named_with_the_loss_that_passes_over_them() -> None:
+    least, robust = table(few)
+    lines = least.fit.measurements[0].lines[[1, 40, 77]].tolist()
+    assert not least.trusted
+    assert f"rows {', '.join(map(str, lines))} lie far from the rest" in told(least)
+    assert least.doubts[0] == told(least)
+    assert not any("seems to have changed" in doubt for doubt in least.doubts)
+    assert robust.trusted
+
+
+def test_a_base_that_moved_is_no_rows_that_lie_far_off() -> None:
+    least, _ = table(moved)
+    assert told(least) == ""
+    assert any("after this row the base seems to have changed" in doubt for doubt in least.doubts)
+
+
+def test_a_sound_table_asks_for_no_cause() -> None:
+    least, _ = table(lambda x, rng: x)
+    assert least.trusted
+    assert told(least) == ""
+
+
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+def test_a_radius_that_is_told_as_a_diameter(factor: float) -> None:
+    of = lab(3, noise=1e-5)
+    data = replace(of.sphere(90), sigma=np.full((90, 1), 1e-5))
+    stated = factor * data.value
+    model = calib.error_model(of.robot, offsets="all", placements="all")
+    found = calib.assess(calib.identify(model, replace(data, value=stated)))
+    if factor == 1.0:
+        assert told(found) == ""
+    else:
+        assert f"mm from the centre and not {1e3 * stated[0, 0]:.4g} mm" in told(found)
+        assert not any("seems to have moved" in doubt for doubt in found.doubts)
