@@ -30,8 +30,8 @@ from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.measurement.scalars import Scalar
 
-# Of more rows nothing is tried, nor of many if the search was long.
-_MOST_ROWS, _FEW_ROWS, _MOST_EVALUATIONS = 10_000, 1000, 60
+# Of more rows or parameters nothing is tried, nor where the search was long.
+_MOST_ROWS, _MOST_PARAMETERS, _MOST_EVALUATIONS = 3000, 300, 60
 # A cause brings the scatter of what is left to this share or less.
 LEAST_LEFT = 0.5
 _LISTED = 3
@@ -52,12 +52,17 @@ class Cause(NamedTuple):
 def causes(fit: Fit, sets: Sequence[JudgedSet]) -> tuple[Cause, ...]:
     """Return what may explain what a doubted fit leaves, the one that leaves least first.
 
-    Nothing of a fit of other rows than these sets are, of levels; of very many rows, or where the search was long.
+    Nothing of a fit of other rows than these sets are, of levels; of very many rows or parameters, or where the search
+    was long.
     """
     own = [one for one in sets if one.use == "identification"]
     rows = sum(map(len, fit.measurements))
-    costly = rows > _MOST_ROWS or (rows > _FEW_ROWS and fit.evaluations > _MOST_EVALUATIONS)
-    if costly or [len(one.data) for one in own] != [len(data) for data in fit.measurements]:
+    costly = rows > _MOST_ROWS or len(fit.parameters) > _MOST_PARAMETERS
+    if (
+        costly
+        or fit.evaluations > _MOST_EVALUATIONS
+        or [len(one.data) for one in own] != [len(data) for data in fit.measurements]
+    ):
         return ()
     found = [one for one in (_passed_over(fit, sets), _other_lengths(fit, sets)) if one is not None]
     return tuple(sorted(found, key=lambda one: one.left))

@@ -475,8 +475,8 @@ class _Search(NamedTuple):
                 alike = np.max(np.abs(np.log(good.noise.factors))) < _ALIKE
                 path = [*path[-_REMEMBERED:], good.passed] if alike else [good.passed]
                 damping = damping / 10.0 if damping > _LEAST_DAMPING else 0.0
-            elif tried is good and not damping and _slow(path):  # what is foretold of steps may fail where one does not
-                path = [good.passed]
+            elif self.problem.robust and tried is good and not damping and _slow(path):
+                path = [good.passed]  # what is foretold of weights may fail where a full step does not
             elif tried is good or cost < _CLEARLY_LESS * self.cost(tried, noise):
                 tried = trial
             else:
