@@ -44,6 +44,7 @@ _OF_A_LOOP, _ROWS_OF_ONE = 6.0, 130.0
 _TERMS_OF_ONE, _FLEXURES_OF_ONE, _WEIGHED_OF_ONE = 60.0, 6.0, 6.0
 _READINGS, _READINGS_OF_ONE = 6, 20.0
 # And where fewer than half of those tried so far are reached: of some thousand targets it is more than they may take.
+# Fewer as well where a look costs more.
 _LOOKS_OF_HOPELESS = 800_000
 # Newton doubles the digits: where a thousandth of the tolerance is reached, the rest is rounding.
 _GOAL = 1e-3
@@ -116,6 +117,7 @@ class Effort:
         self._left = max(least * targets, min(wanted, int(max(_MOST_SPENT, wanted) / price)))
         self._share = _LOOKS_PER_ROW if self._left >= _LOOKS_PER_ROW * targets else least
         self._reserved = self._spent = self._tried = self._reached = 0
+        self._of_hopeless = _LOOKS_OF_HOPELESS / price
         self.block = _BLOCK if self._share else max(_LEAST_BLOCK, int(_BLOCK / price))
 
     def reserve(self, targets: int) -> None:
@@ -140,7 +142,7 @@ class Effort:
     @property
     def spent(self) -> bool:
         """Whether nothing is left for the rows of now."""
-        hopeless = 2 * self._reached < self._tried and self._spent > _LOOKS_OF_HOPELESS
+        hopeless = 2 * self._reached < self._tried and self._spent > self._of_hopeless
         return hopeless or self._left <= self._reserved
 
 

@@ -817,6 +817,13 @@ def _positions_of_a_loop(folder: Path, size: int) -> None:
     shutil.copytree(_results("irb2400"), folder / _RESULTS)
 
 
+def _poses_of_a_loop(folder: Path, size: int) -> None:
+    """Write poses of one orientation all about an arm with a loop, most of which it does not reach."""
+    _positions_of_a_loop(folder, size)
+    rows = repeated(lambda k: f"{k % 1900 - 900},{k % 1701 - 800},{k % 1900},1,0,0,0\n", size)
+    (folder / "targets.csv").write_text("x [mm],y [mm],z [mm],qw,qx,qy,qz\n" + rows, encoding="utf-8")
+
+
 def _positions_of_terms(folder: Path, size: int) -> None:
     """Write positions, and give the machine as many harmonics as fit, which no uncertainty knows."""
     _positions(folder, size)
@@ -1540,6 +1547,7 @@ HOSTILE: dict[str, Hostile] = {
     "joint targets": Hostile(_targets, _COMPENSATE),
     "positions": Hostile(_positions, _COMPENSATE),
     "positions of a loop": Hostile(_positions_of_a_loop, _COMPENSATE),
+    "poses of a loop": Hostile(_poses_of_a_loop, _COMPENSATE),
     "poses hardly in reach": Hostile(_poses, _COMPENSATE),
     "positions out of reach": Hostile(_far_positions, _COMPENSATE),
     "tools of a model": _model("tools", lambda _: _POSE, _COMPENSATE),

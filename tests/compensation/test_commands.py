@@ -434,6 +434,12 @@ def test_where_a_look_costs_more_fewer_are_spent_and_readings_to_start_from_are_
             effort.spend(1000)
         raise AssertionError
 
+    def hopeless(price: float) -> int:
+        effort = inverse.Effort(1_000_000, price)
+        effort.told(tried=100, reached=49)
+        return left(effort)
+
+    assert (hopeless(1.0), hopeless(7.0)) == (801_000, 115_000)
     assert left(inverse.Effort(1000)) == 524_000
     assert left(inverse.Effort(1_000_000)) == 24_500_000
     assert left(inverse.Effort(1000, 6.0)) == 417_000, "a small table hardly notices"
