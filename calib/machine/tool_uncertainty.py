@@ -30,10 +30,8 @@ from calib.robot.conditions import Conditions, ordinary
 from calib.robot.robot import TipModel, TipMotion
 from calib.robot.sampling import random_readings
 
-# Rows whose derivatives are in memory at a time.
-_BLOCK = 500
-# As many where nothing is made of them but sums.
-_FEW = 100
+# Rows whose derivatives are in memory at a time, and numbers of these: moving more to and fro takes twice the time.
+_BLOCK, _NUMBERS = 500, 1_000_000
 
 
 @checked
@@ -85,9 +83,15 @@ def link_errors(
     """
     errors = _Errors(_View(machine.of(tool), tool, base=True, tool_pose=tool_pose), machine.known_uncertainty)
     with one_thread(of_scipy=False):
-        blocks = [slice(start, start + _BLOCK) for start in range(0, len(readings), _BLOCK)]
+        many = _at_once(machine)
+        blocks = [slice(start, start + many) for start in range(0, len(readings), many)]
         found, unseen = zip(*(errors.at(readings[rows], conditions.subset(rows)) for rows in blocks), strict=True)
     return np.concatenate(found), np.concatenate(unseen)
+
+
+def _at_once(machine: CalibratedMachine) -> int:
+    """Return of how many rows the derivatives by the machine's state are made at a time."""
+    return max(1, min(_BLOCK, _NUMBERS // (6 * machine.layout.size)))
 
 
 def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
@@ -302,8 +306,8 @@ def _blocks(errors: _Errors, readings: Array, conditions: Conditions) -> ToolUnc
     """Return how sure the tool's pose is at readings (N, nr), block by block."""
     parts = []
     with one_thread(of_scipy=False):
-        for start in range(0, len(readings), _BLOCK):
-            rows = slice(start, start + _BLOCK)
+        for start in range(0, len(readings), many := _at_once(errors.view.machine)):
+            rows = slice(start, start + many)
             parts.append(_of_block(errors, readings[rows], conditions.subset(rows)))
     covariance, sizes, squares = (read_only(np.concatenate(part)) for part in zip(*parts, strict=True))
     budget = {cause: read_only(np.sqrt(squares[:, k])) for k, cause in enumerate(CAUSES)}
@@ -394,8 +398,8 @@ def tool_motions(
     view, told = _View(machine.of(tool), tool, base=base, tool_pose=tool_pose), conditions or ordinary(readings)
     changes, found = [view.told(columns)], np.empty((len(readings), 6, columns.shape[1]))
     with one_thread(of_scipy=False):
-        for start in range(0, len(readings), _BLOCK):
-            rows = slice(start, start + _BLOCK)
+        for start in range(0, len(readings), many := _at_once(machine)):
+            rows = slice(start, start + many)
             (found[rows],) = view.at(readings[rows], told.subset(rows)).motions(changes)
     return found
 
@@ -407,8 +411,8 @@ def mean_square_shifts(machine: CalibratedMachine, readings: Array, tool: str, *
     """
     view, found = _View(machine.of(tool), tool, base=True, tool_pose=True), np.zeros(machine.layout.size)
     with one_thread(of_scipy=False):
-        for start in range(0, len(readings), _FEW):
-            rows = slice(start, start + _FEW)
+        for start in range(0, len(readings), many := _at_once(machine)):
+            rows = slice(start, start + many)
             shifts = view.jacobian(view.at(readings[rows], conditions.subset(rows)).motion)[:, :3]
             found += np.sum(shifts**2, axis=(0, 1))
     return found / len(readings)

@@ -598,8 +598,8 @@ def test_two_calibrations_of_thousands_of_terms_are_compared_in_little_memory() 
     tracemalloc.stop()
     assert not found.moved
     assert len(found.changes) >= len(terms)
-    # Derivatives of 500 poses by every entry, and what turns them, take four of these.
-    assert peak < 5.5 * 500 * 6 * 8 * many.layout.size
+    # Nor the derivatives of all 500 poses by every entry.
+    assert peak < 500 * 6 * 8 * many.layout.size, peak / (500 * 6 * 8 * many.layout.size)
 
 
 def test_calibrations_that_free_different_parameters_are_compared_at_the_tip() -> None:
