@@ -257,7 +257,7 @@ def test_errors_that_grew_though_nothing_of_the_arm_was_free(cell: Cell) -> None
         after = factor * before * cell.rng.uniform(0.98, 1.02, (12, 1))
         check = of_errors.improvement(fit, [JudgedSet("validation", "v.csv", data, before, after)])
         assert check.passed == passed
-        assert ("Is the shape of the board as it is said" in check.sentence) != passed
+        assert ("Arm, lens or board is not as it is said to be" in check.sentence) != passed
 
 
 def braking(q: Array, left: float) -> Array:

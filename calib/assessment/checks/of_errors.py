@@ -133,7 +133,7 @@ def _not_spoiled(judged: Sequence[JudgedSet]) -> Check:
             said = (
                 f"No parameter of the robot was free, and the {name} error is {found.after / found.before:.2g} times "
                 "as large as without what rows of a photograph have in common: they err together as no place of board "
-                "and camera explains. Is the shape of the board as it is said to be?"
+                "and camera explains. Arm, lens or board is not as it is said to be."
             )
             return Check.of("improvement", found.t, WORSE, False, said, least=True)
     return Check.idle("improvement", NOTHING, "No parameter of the robot was free.", least=True)
