@@ -31,6 +31,8 @@ _NO_POSITION = _words(
     "velocity vel speed v qd dq torque tau effort current i acc acceleration force f temp temperature std sigma unc "
     "uncertainty u dev deviation error err normal n delta d tilt var variance gyro accel"
 )
+# What columns of torques are called.
+TORQUES = _words("tau torque torques effort")
 # What as many numbers of an orientation are.
 _SIZES: dict[int, Literal["angles", "quaternion", "matrix"]] = {3: "angles", 4: "quaternion", 9: "matrix"}
 _TURNS = _words("r rot rotation phi theta euler ang angle angles orientation ori rv rvec rotvec w o")

@@ -250,6 +250,33 @@ def test_a_torque_may_be_named(folder: Path) -> None:
     assert f'"tau_{joint} [Nm]" = "load [Nm]"' in (folder / "calibration.toml").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    ("titles", "read"),
+    [
+        ([f"tau_{k}" for k in range(1, 7)], True),
+        ([f"Torque{k} [Nm]" for k in range(1, 7)], True),
+        ([f"effort {k} [N]" for k in range(1, 7)], False),
+        ([f"tau_{k}" for k in range(1, 6)] + ["other"], False),
+        ([f"tau_{k}" for k in range(2, 8)], False),
+    ],
+)
+def test_torques_are_those_of_the_joints_by_their_numbers(folder: Path, titles: list[str], read: bool) -> None:
+    s = session()
+    torques = np.sin(s.readings + 0.3)
+    joints = [f"A{k} [deg]" for k in range(1, 7)]
+    measured = [np.degrees(s.readings), 1e3 * s.position, torques]
+    (folder / "measured.csv").write_text(
+        text([*joints, "x [mm]", "y [mm]", "z [mm]", *titles], measured), encoding="utf-8"
+    )
+    said = run("init", UR10, "measured.csv", "--yes")
+    assert said.code == 0
+    assert ("are the torques of" in " ".join(said.out.split())) == read
+    columns = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))["measurements"][0]["columns"]
+    names = [f"tau_{reading.name} [Nm]" for reading in robot(UR10, "tool0").readings]
+    assert [columns.get(name) for name in names] == (titles if read else [None] * 6)
+    assert run("check", "calibration.toml").code == 0
+
+
 def test_no_folder_for_the_job_is_said_at_once(folder: Path) -> None:
     put(folder, "no units")
     said = run("init", UR10, "measured.csv", "-o", "nowhere/calibration.toml")

@@ -250,7 +250,13 @@ TWINS = [
             [*numbered("joint_{}_position"), *numbered("joint_{}_velocity"), *numbered("joint_{}_effort"), *XYZ],
             [S().readings, 0.0 * S().readings, 3.0 + S().readings, S().position],
         ),
-        Expected(numbered("joint_{}_position"), "rad", XYZ, "m"),
+        Expected(
+            numbered("joint_{}_position"),
+            "rad",
+            XYZ,
+            "m",
+            words={f"tau_{name} [Nm]": effort for name, effort in zip(UR, numbered("joint_{}_effort"), strict=True)},
+        ),
     ),
     Twin(
         "a controller that computed the point",

@@ -1,6 +1,7 @@
 """One table of somebody else, read."""
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from calib.job.foreign.turns import orientation_of
 from calib.measurement.kinds import Kind
 from calib.measurement.orientations import ANGLES, MATRIX, ORIENTATIONS
 from calib.measurement.raw import RawColumn, RawTable, split_title
+from calib.measurement.roles import TORQUES, tokens
 from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TORQUE, Columns
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -209,6 +211,7 @@ def _result(seen: Seen, pick: Pick, kind: Kind, names: dict[str, str], orientati
     answered = (seen.answers.columns or {}).items()
     given = {ours: theirs for ours, theirs in answered if split_title(ours)[0] in own | told}
     names |= {ours: seen.raw.columns[seen.column(theirs)].title for ours, theirs in given.items()}
+    names |= _torques(seen, pick, {split_title(name)[0] for name in names})
     taken = set(names.values())
     ours = {split_title(name)[0] for name in names}
     ignore = []
@@ -229,3 +232,33 @@ def _result(seen: Seen, pick: Pick, kind: Kind, names: dict[str, str], orientati
     if pick.arm.base is not None:
         seen.reasons.append(f"the base is {pick.arm.base}: joints before it are in no column")
     return Found(robot, kind, Columns(names, tuple(ignore), orientation), tuple(seen.reasons))
+
+
+def _torques(seen: Seen, pick: Pick, given: AbstractSet[str]) -> dict[str, str]:
+    """Return names for the columns of the joints' torques, where each joint has one that is called as its own is."""
+    readings = seen.robot(pick.arm).readings
+    wanted = [_besides(seen.raw.columns[k].name, frozenset()) for k in pick.joints.columns]
+    called = [column for column in seen.raw.columns if TORQUES & set(tokens(column.name))]
+    found = {_besides(column.name, TORQUES): column for column in called}
+    columns = [found.get(word) for word in wanted]
+    torques = [column for column in columns if column is not None and _is_torque(column)]
+    ours = [f"{TORQUE}{reading.name}" for reading in readings]
+    apart = len(set(wanted)) == len(wanted) and len(found) == len(called)
+    if not apart or len(torques) < len(wanted) or given & set(ours):
+        return {}
+    run, of = run_of([column.title for column in torques]), run_of(pick.arm.joints)
+    unit = "" if all(column.symbol for column in torques) else ", taken to be in Nm"
+    seen.reasons.append(f"{run} are the torques of {of}, by their numbers{unit}")
+    return {f"{name} [Nm]": column.title for name, column in zip(ours, torques, strict=True)}
+
+
+def _is_torque(column: RawColumn) -> bool:
+    # A bracket that is no unit we know may be one of something else.
+    fits_unit = column.symbol == "Nm" or (column.symbol is None and "[" not in column.title)
+    return column.numbers is not None and bool(np.isfinite(column.numbers).all()) and fits_unit
+
+
+def _besides(name: str, words: AbstractSet[str]) -> tuple[str, ...]:
+    """Return the numbers in a name of which some of ``words`` are parts, or any; all parts where it has none."""
+    parts = [part for part in tokens(name) if part not in words]
+    return tuple(part for part in parts if part.isdigit()) or tuple(parts)
