@@ -68,7 +68,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
     # What a fit leaves that explains nothing is nothing that joint terms make smaller.
     explained = all(check.passed for check in found.checks if check.name == "explained")
     if choice is None and not inputs.job.levels and trace is None and explained:
-        found = replace(found, shown=(*found.shown, *suggestions(fit, inputs.validate)))
+        found = replace(found, suggested=suggestions(fit, inputs.validate))
     found = replace(found, levels=reports, choice=choice, optics=inputs.optics).accepting(inputs.job.accept)
     return found if inputs.job.levels or trace is not None else found.blaming(blame(fit, found.sets))
 

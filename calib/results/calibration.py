@@ -113,6 +113,7 @@ class Calibration:
     validation, when is before or after. ``sets``: residuals of every table; those after calibration are of ``machine``,
     with its residual model where that has values. ``doubts``: why the calibration should not be trusted; ``checks``:
     all checks of the verdict; ``shown``: for which range the verdict holds, and what would make it more certain.
+    ``suggested``: joint terms that nobody asked for and that make errors of rows held out clearly smaller.
     ``findings``: what looks wrong in the data, but is usable. ``outliers``: of the data to identify from. ``in_urdf``:
     the metrics of the calibrated URDF alone, if it cannot hold the machine because of closed loops or joint terms.
     ``levels``, ``trace`` and ``choice``: the steps before the fit. ``origin``: from what it was made.
@@ -134,6 +135,7 @@ class Calibration:
     origin: Origin = FROM_PYTHON
     checks: tuple[Check, ...] = ()
     shown: tuple[str, ...] = ()
+    suggested: tuple[str, ...] = ()
     optics: "tuple[OpticsChoice, ...]" = ()
     blame: Blame | None = None
 

@@ -205,7 +205,7 @@ def result(found: Calibration) -> dict[str, Any]:
         "trusted": not found.doubts,
         "doubts": list(found.doubts),
         "checks": [asdict(check) for check in found.checks],
-        "shown": list(found.shown),
+        "shown": [*found.shown, *found.suggested],
         "findings": [finding.sentence for finding in found.findings],
         "metrics": {
             use: {when: _by_quantity(figures) for when, figures in by_when.items()}

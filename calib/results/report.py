@@ -44,7 +44,9 @@ def report_of(found: Calibration, beside: tuple[tuple[str, str], ...] = ()) -> R
     robot = found.fit.robot
     return Report(
         f"Calibration of {robot.urdf.name or robot.urdf.where}",
-        sections.verdict(found.metrics, found.doubts, [finding.sentence for finding in found.findings], found.shown),
+        sections.verdict(
+            found.metrics, found.doubts, [finding.sentence for finding in found.findings], found.shown, found.suggested
+        ),
         tuple(section for make in SECTIONS if (section := make(found)) is not None),
         tuple(found.origin.about.items()),
         beside,

@@ -6,6 +6,7 @@ import numpy as np
 
 import calib
 from calib.assessment.suggestions import suggestions
+from calib.results.report import report_of
 from calib.robot.conditions import Conditions
 from tests.support import machines
 
@@ -37,6 +38,14 @@ def test_a_temperature_that_nobody_used_is_named() -> None:
     assert suggestions(fit, []) == ()
     # What took long to fit would take as long once more for every kind that is tried.
     assert suggestions(replace(fit, evaluations=61), [held_out]) == ()
+
+
+def test_where_the_fit_is_doubted_it_is_told_after_the_doubts() -> None:
+    found = calib.assess(*session(2e-5))
+    found = replace(found, suggested=("The temperature: ...",))
+    trusted, doubted = (report_of(replace(found, doubts=doubts)).verdict for doubts in ((), ("it jumped.",)))
+    assert trusted.trusted and trusted.reasons[-1].endswith(" The temperature: ...")
+    assert doubted.reasons == ("Not to be trusted: it jumped.", "The temperature: ...")
 
 
 def test_a_joint_that_moves_more_than_it_reads_is_named() -> None:

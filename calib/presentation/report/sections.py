@@ -68,10 +68,11 @@ def verdict(
     doubts: Sequence[str],
     warnings: Sequence[str],
     shown: Sequence[str] = (),
+    suggested: Sequence[str] = (),
 ) -> Verdict:
     """Return the answer: how much better, on which data, to be trusted or not.
 
-    ``shown``: for which range, and what would make it more certain.
+    ``shown``: for which range, and what would make it more certain. ``suggested``: what would make errors smaller.
     """
     held_out = "validation" in figures
     judged = figures["validation" if held_out else "identification"]
@@ -92,11 +93,16 @@ def verdict(
         tiles += [Tile(f"{quantity}, before (rms)", names[0]), Tile(f"{quantity}, after (rms)", names[1])]
         tiles.append(Tile(f"{quantity}, after (largest)", sheets.figure(after.max, after.unit)))
     if doubts:
-        reasons = tuple(f"Not to be trusted: {doubt}" for doubt in doubts)
+        # What a model leaves out may look like what is doubted, as joints that give way like a base that moved.
+        reasons = (*(f"Not to be trusted: {doubt}" for doubt in doubts), *suggested)
     elif held_out:
         reasons = (
             " ".join(
-                ("To be trusted: all checks passed, and the figures are of data that took no part in the fit.", *shown)
+                (
+                    "To be trusted: all checks passed, and the figures are of data that took no part in the fit.",
+                    *shown,
+                    *suggested,
+                )
             ),
         )
     else:
@@ -104,7 +110,7 @@ def verdict(
             "To be trusted with care: all checks passed, but no data were held out; how well the robot predicts other "
             "poses is not shown."
         )
-        reasons = (" ".join((care, *shown)),)
+        reasons = (" ".join((care, *shown, *suggested)),)
     return Verdict(not doubts, " ".join(said), reasons, tuple(tiles), tuple(warnings))
 
 
