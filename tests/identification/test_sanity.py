@@ -474,3 +474,21 @@ def test_what_each_table_has_of_its_own_is_named(observes: str, what: str | None
         own = [data.named(**{what: str(k)}) for k, data in enumerate((one, two))]
         assert signatures(lab.model(), own) == ()
         assert sanity.apart(lab.model(), own) is None
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        joint("elbow_joint", lambda v: -v),
+        joint("wrist_2_joint", lambda v: v + np.pi / 2),
+        joints(["shoulder_lift_joint", "elbow_joint"], lambda v: v[:, ::-1]),
+    ],
+    ids=["sign", "zero", "swapped"],
+)
+def test_a_mistake_in_one_table_is_no_tool_and_no_set_up_of_its_own(spoil: Spoil) -> None:
+    lab = Lab("ur10")
+    tables = [replace(lab.measure(), where="one.csv"), replace(lab.measure(spoil), where="two.csv")]
+    (finding,) = signatures(lab.model(), tables)
+    assert finding.code in ("flipped-sign", "shifted-zero", "swapped-joints")
+    assert finding.sentence.startswith("two.csv: ")
+    assert sanity.apart(lab.model(), tables) is None
