@@ -165,9 +165,11 @@ def apart(model: ErrorModel, measurements: Sequence[Measurements]) -> Apart | No
         if len(seen) < 2 or len(seen) < len(measurements):
             return None
         sets = tuple(_spread_rows(data, seen) for data in with_common_names(model, seen))
-        missed, best = _miss(model, sets), _likeliest(_trials_of_tables(model, sets))[0]
-        clearly = missed > max(_CLEARLY * best.miss, _GOOD * model.robot.reach)
-        if not clearly or best.miss > _EXPLAINED * model.robot.reach:
+        missed, reach = _miss(model, sets), model.robot.reach
+        if missed < _GOOD * reach:
+            return None
+        best = _likeliest(_trials_of_tables(model, sets))[0]
+        if missed <= _CLEARLY * best.miss or best.miss > _EXPLAINED * reach:
             return None
         return Apart("tool" if best.mistake is _TABLES[0] else "setup", missed, best.miss)
 

@@ -22,6 +22,7 @@ from calib.job.foreign.reader import read
 from calib.job.proposal import Proposal, ProposedTable, table_lines
 from calib.measurement.columns import refuse_joints_like_columns
 from calib.measurement.kinds import Kind
+from calib.measurement.measurements import ONLY_SETUP, ONLY_TOOL
 from calib.measurement.orientations import ORIENTATIONS
 from calib.measurement.raw import raw_table
 from calib.measurement.read import read_measurements
@@ -33,8 +34,8 @@ from calib.robot.urdf import Urdf, read_urdf
 _HELD_OUT = 0.25
 # Kinds that columns tell; other kinds need what only a job says.
 _TOLD_APART: tuple[Kind, ...] = ("position", "pose", "socket", "distance")
-# Columns that name tools and set-ups row by row.
-_NAMED = {"tool", "setup"}
+# What tables have whose tools and set-ups nobody names.
+_UNNAMED = ((ONLY_TOOL,), (ONLY_SETUP,))
 _VALIDATION = re.compile(r"valid|verif|test|check|held|control", re.IGNORECASE)
 
 
@@ -138,7 +139,7 @@ def _shared_out(tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, .
 def _named_apart(robot: Robot, tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, ...], list[str]]:
     """Name tools, or set-ups, by their files where each table has one of its own."""
     own = [table for table in tables if table.use == "identify"]
-    if not all(table.observes in ("position", "pose") and not _NAMED & table.columns.names.keys() for table in own):
+    if len(own) < 2 or not all(table.observes in ("position", "pose") for table in own):
         return tuple(tables), []
     model = error_model(robot, tool="pose" if any(table.observes == "pose" for table in own) else "position")
     try:
@@ -147,6 +148,9 @@ def _named_apart(robot: Robot, tables: Sequence[ProposedTable]) -> tuple[tuple[P
     except CalibError:  # what is wrong with rows, the job says
         return tuple(tables), []
     if found is None:
+        return tuple(tables), []
+    # Where a column names them row by row, no name of the whole table may stand beside it.
+    if any((each.tools if found.what == "tool" else each.setups) not in _UNNAMED for each in data):
         return tuple(tables), []
     stems = [Path(table.file).stem for table in own]
     name = {table.file: stem if stems.count(stem) == 1 else table.file for table, stem in zip(own, stems, strict=True)}

@@ -11,26 +11,29 @@ measured, and with terms chosen from the rows of the fit. What is identified wit
 """
 
 import argparse
-import subprocess
+import sys
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 from numpy.typing import NDArray
 
 import calib
+from scripts.studies.repositories import stored, urdf_of
 
 Array = NDArray[np.float64]
 
 RUNS = {"0kg": "20161216_run1_0kg.csv", "1.25kg": "20161216_run2_1.25kg.csv", "2.5kg": "20161216_run3_2.5kg.csv"}
-# Heights of the axes one above the other, in m, and their directions, by its data sheet.
+# By its data sheet: where each axis is in the frame of the one before, in m, and its direction.
 AXES = (
-    (0.340, (0, 0, 1)),
-    (0.0, (0, 1, 0)),
-    (0.400, (0, 0, 1)),
-    (0.0, (0, -1, 0)),
-    (0.400, (0, 0, 1)),
-    (0.0, (0, 1, 0)),
-    (0.126, (0, 0, 1)),
+    ((0.0, 0.0, 0.340), (0, 0, 1)),
+    ((0.0, 0.0, 0.0), (0, 1, 0)),
+    ((0.0, 0.0, 0.400), (0, 0, 1)),
+    ((0.0, 0.0, 0.0), (0, -1, 0)),
+    ((0.0, 0.0, 0.400), (0, 0, 1)),
+    ((0.0, 0.0, 0.0), (0, 1, 0)),
+    ((0.0, 0.0, 0.126), (0, 0, 1)),
 )
 HEAD = """schema = 1
 [robot]
@@ -73,27 +76,6 @@ With two loads identified, and the third one's marks found from its own rows, po
 """
 
 
-def stored(repository: Path, name: str) -> Array:
-    """A table of the repository, a folder or its git directory."""
-    if (repository / name).is_file():
-        text = (repository / name).read_text(encoding="utf-8")
-    else:
-        git = ["git", f"--git-dir={repository}", "show", f"HEAD:{name}"]
-        text = subprocess.run(git, check=True, stdout=subprocess.PIPE).stdout.decode()
-    return np.loadtxt(text.splitlines()[1:], delimiter=",")
-
-
-def urdf() -> str:
-    """The robot by its data sheet."""
-    links = "".join(f'<link name="link_{k}"/>' for k in range(len(AXES) + 1))
-    joints = "".join(
-        f'<joint name="joint_{k + 1}" type="continuous"><parent link="link_{k}"/><child link="link_{k + 1}"/>'
-        f'<origin xyz="0 0 {up}"/><axis xyz="{" ".join(map(str, axis))}"/></joint>'
-        for k, (up, axis) in enumerate(AXES)
-    )
-    return f'<robot name="iiwa7">{links}{joints}</robot>'
-
-
 def text_of(rows: Array) -> str:
     """A table of the toolkit: joints, torques and poses."""
     numbers = range(1, 8)
@@ -117,9 +99,9 @@ def main() -> None:
     parser.add_argument("--markdown", type=Path)
     chosen = parser.parse_args()
     chosen.folder.mkdir(parents=True, exist_ok=True)
-    (chosen.folder / "iiwa7.urdf").write_text(urdf(), encoding="utf-8")
+    (chosen.folder / "iiwa7.urdf").write_text(urdf_of("iiwa7", AXES), encoding="utf-8")
     for load, name in RUNS.items():
-        rows = stored(chosen.repository, f"{load}/{name}")
+        rows = np.loadtxt(stored(chosen.repository, f"{load}/{name}").decode().splitlines()[1:], delimiter=",")
         held = np.arange(len(rows)) % 4 == 3
         for what, own in ((load, ~held), (f"{load} held out", held), (f"{load} whole", held | ~held)):
             (chosen.folder / f"{what}.csv").write_text(text_of(rows[own]), encoding="utf-8")

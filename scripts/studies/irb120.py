@@ -13,9 +13,11 @@ its own and SciPy.
 
 import argparse
 import io
-import subprocess
+import sys
 import textwrap
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import calib
+from scripts.studies.repositories import stored, urdf_of
 
 Array = NDArray[np.float64]
 
@@ -77,25 +80,6 @@ The check "at rest" ([assessment](assessment.md)) was made after these data. Wha
 
 {said}
 """
-
-
-def stored(repository: Path, name: str) -> Array:
-    """A table of the repository, a folder or its git directory."""
-    if (repository / name).is_file():
-        return np.loadtxt(repository / name)
-    git = ["git", f"--git-dir={repository}", "show", f"HEAD:{name}"]
-    return np.loadtxt(io.BytesIO(subprocess.run(git, check=True, stdout=subprocess.PIPE).stdout))
-
-
-def urdf() -> str:
-    """The robot by its data sheet."""
-    links = "".join(f'<link name="link_{k}"/>' for k in range(len(AXES) + 1))
-    joints = "".join(
-        f'<joint name="joint_{k + 1}" type="continuous"><parent link="link_{k}"/><child link="link_{k + 1}"/>'
-        f'<origin xyz="{" ".join(map(str, at))}"/><axis xyz="{" ".join(map(str, axis))}"/></joint>'
-        for k, (at, axis) in enumerate(AXES)
-    )
-    return f'<robot name="irb120">{links}{joints}</robot>'
 
 
 def table(q: Array, points: Array) -> str:
@@ -155,9 +139,13 @@ def main() -> None:
     parser.add_argument("--markdown", type=Path)
     chosen = parser.parse_args()
     chosen.folder.mkdir(parents=True, exist_ok=True)
-    (chosen.folder / "irb120.urdf").write_text(urdf(), encoding="utf-8")
-    points = np.stack([stored(chosen.repository, REFLECTOR.format(k)) for k in (1, 2, 3)])
-    read, every = stored(chosen.repository, READ), stored(chosen.repository, COMMANDED)
+    (chosen.folder / "irb120.urdf").write_text(urdf_of("irb120", AXES), encoding="utf-8")
+
+    def told(name: str) -> Array:
+        return np.loadtxt(io.BytesIO(stored(chosen.repository, name)))
+
+    points = np.stack([told(REFLECTOR.format(k)) for k in (1, 2, 3)])
+    read, every = told(READ), told(COMMANDED)
     # Poses that the tracker did not see were left out of all tables but that of commands.
     commanded = every[[int(np.argmin(np.abs(every - row).sum(axis=1))) for row in read]]
     held = np.arange(len(read)) % 4 == 3

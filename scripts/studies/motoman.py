@@ -14,10 +14,12 @@ turntable that see marks on a ball on each hand, and the balls that touch each o
 import argparse
 import io
 import re
-import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +31,7 @@ import calib
 from calib.foundations import rigid
 from calib.identification.identify import residuals_of
 from calib.measuring import Board, Camera, seen_by
+from scripts.studies.repositories import stored
 
 Array = NDArray[np.float64]
 
@@ -95,14 +98,6 @@ def urdf() -> str:
             parts.append(joint(f"{side}_{name}", parent, child, before @ dh(0.0, 0.0, 0.0, offset)))
             parent, before = child, dh(a, d, alpha, 0.0)
     return f'<robot name="motoman"><link name="base"/>{"".join(parts)}</robot>'
-
-
-def stored(repository: Path, name: str) -> bytes:
-    """A file of the repository, a folder or its git directory."""
-    if (repository / name).is_file():
-        return (repository / name).read_bytes()
-    git = ["git", f"--git-dir={repository}", "show", f"HEAD:{name}"]
-    return subprocess.run(git, check=True, stdout=subprocess.PIPE).stdout
 
 
 def read(repository: Path, side: str) -> tuple[Array, Array]:

@@ -93,21 +93,37 @@ def test_a_tracker_that_was_moved_is_told_with_the_row(folder: Path) -> None:
     assert sorted(result["setups"]) == ["7", "8"]
 
 
-def test_tables_with_a_tool_of_their_own_name_it(folder: Path) -> None:
+def two_tools(folder: Path, named: bool) -> None:
+    """Write two tables, each of a tool of its own; ``named``: a column calls both the same."""
     arm = machines.arm(UR10, "tool0")
     rng = np.random.default_rng(3)
     for name, at in (("light", (0.05, 0.02, 0.15)), ("heavy", (-0.12, 0.06, 0.03))):
         readings = arm.draw(rng, 40)
         seen = machines.Machine(arm, machines.pose((2.0, 0.4, 0.1), (0.0, 0.0, 1.1)), {"tool": machines.pose(at)})
         columns = machines.table(arm, readings, seen.see(readings), "position")
-        rows = "\n".join(",".join(f"{v:.9f}" for v in row) for row in np.column_stack(list(columns.values())))
-        (folder / f"{name}.csv").write_text(f"{','.join(columns)}\n{rows}\n", encoding="utf-8")
+        rows = [",".join(f"{v:.9f}" for v in row) for row in np.column_stack(list(columns.values()))]
+        lines = [",".join(columns), *rows]
+        more = ["tool", *["ball"] * len(rows)] if named else []
+        lines = [f"{line},{word}" for line, word in zip(lines, more, strict=True)] if named else lines
+        (folder / f"{name}.csv").write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def test_tables_with_a_tool_of_their_own_name_it(folder: Path) -> None:
+    two_tools(folder, named=False)
     said = run("init", UR10, "light.csv", "heavy.csv", "--yes")
     assert (said.code, said.err) == (0, "")
     assert "light.csv, heavy.csv: the tool is another one in each: the arm misses" in " ".join(said.out.split())
     job = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))
     assert [table["tool"] for table in job["measurements"]] == ["light", "heavy"]
     assert run("check", "calibration.toml").code == 0
+
+
+def test_a_tool_that_a_column_names_is_named_by_nothing_else(folder: Path) -> None:
+    two_tools(folder, named=True)
+    said = run("init", UR10, "light.csv", "heavy.csv", "--yes")
+    assert said.code == 1
+    assert "it looks as if each table has a tool of its own" in said.err
+    assert not (folder / "calibration.toml").exists()
 
 
 def test_nothing_is_written_over_and_nothing_where_something_is_asked(folder: Path) -> None:

@@ -132,8 +132,8 @@ def at_rest(found: Effect) -> Check:
         else "poses were measured before the arm had come to rest where its readings say"
     )
     said = f"It seems that {when}: residuals are {found.size:.2g} times their scatter along the motion from row to row"
-    cure = ": wait before you read and measure, or take the commanded positions."
-    return Check.judged("at rest", found.size, SEEN_AT_REST, said, cure)
+    cure = "wait before you read and measure, or take the commanded positions."
+    return Check.of("at rest", found.size, SEEN_AT_REST, False, f"{said}: {cure}")
 
 
 def timing(found: Timing) -> Check:
