@@ -143,10 +143,9 @@ class _Equations:
 
     def __init__(self, known: Known, harmonics: IntArray, products: Products, terms: IntArray) -> None:
         """Form the products of geometry and ``terms`` (k,), columns of which some may be asked for."""
-        self._known, self._counts = known, products.counts
+        self._known, self._products = known, products
         self._columns = np.concatenate([known.geometry, terms, [len(known.weak)]])
-        self._of_folds = products.grams(self._columns)
-        self._sum = self._of_folds.sum(axis=0)
+        self._grams = products.grams(self._columns)
         self._reading = np.full(len(known.weak), -1)
         self._reading[harmonics] = np.arange(len(harmonics))[:, None, None]
 
@@ -156,9 +155,7 @@ class _Equations:
         both = np.concatenate([known.geometry, terms, [len(known.weak)]])
         own = np.flatnonzero(np.isin(self._columns, both))
         place = np.ix_(own, own)
-        gram, count = self._sum[place], self._counts.sum()
-        if without is not None:
-            gram, count = gram - self._of_folds[without][place], count - self._counts[without]
+        gram, count = self._grams[-1 if without is None else without][place], self._products.freedom(without)
         reading = self._reading[both[:-1]]
         beside = known.products[np.ix_(both, both)]
         beside[range(p), range(p)] -= np.where(reading >= 0, known.weak[both[:-1]], 0.0)

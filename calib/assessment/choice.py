@@ -360,7 +360,7 @@ def _all_harmonics(
 
     def told(of: Judged) -> tuple[HeldOut, float, bool]:
         values = offer.values(of.products, [system.columns(kept(way.order)) for way in of.ways])
-        (squares,), rms = system.squares(of.fold, values[:, None])
+        (squares,), rms = system.squares(of.products, of.fold, values[:, None])
         surely = better(squares, of.squares[len(entered)], of.group)
         return held_out(squares, of.group), float(next(iter(rms.values()))[0]), surely
 

@@ -48,8 +48,8 @@ TERMS, OWN = "joint terms", "as in the job"
 _SOLVED = 1e-6
 # Rows that models are compared by: every one is fitted once for every fold.
 _ENOUGH_ROWS = 2000
-# Of tables with more rows there are fewer folds, where nobody says how many.
-_VERY_MANY_ROWS, _FEWER_FOLDS = 5000, 5
+# Of tables with more rows or targets there are fewer folds, where nobody says how many.
+_VERY_MANY_ROWS, _VERY_MANY_TARGETS, _FEWER_FOLDS = 5000, 200, 5
 # All rows of all fits of one model, where every group is held out by itself.
 _MOST_FITTED = 100_000
 
@@ -175,8 +175,8 @@ def compare_models(
 ) -> ModelComparison:
     """Compare models of one robot by grouped cross-validation, all on the same folds.
 
-    ``scheme``: the number of folds, or "leave-one-group-out"; when None 10 folds, of more than 5000 rows 5. Rows of one
-    pose, of one socket (where there are two or more) and of one word in the column ``group`` stay together; of more
+    ``scheme``: the number of folds, or "leave-one-group-out"; when None 10 folds, of more than 5000 rows or 200
+    targets 5. Rows of one pose, of one socket (where there are two or more) and of one word in the column ``group`` stay together; of more
     than 2000 rows, 2000 are used, taken at random over all groups, the same ones every time. ``choose``: names of the
     models to which joint terms are added that :func:`calib.judging.choose_terms` finds, in every fold anew; when None,
     that of :func:`nested_models` which stands for them. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`;
@@ -201,7 +201,8 @@ def compare_models(
     masks = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
     rows = ChosenRows(sets, model_sigmas, losses).some(masks)
     group = np.unique(group[looked_at], return_inverse=True)[1]
-    fold = _folds(group, (_FEWER_FOLDS if all_rows > _VERY_MANY_ROWS else FOLDS) if scheme is None else scheme)
+    many = all_rows > _VERY_MANY_ROWS or any(len(data.targets) > _VERY_MANY_TARGETS for data in sets)
+    fold = _folds(group, (_FEWER_FOLDS if many else FOLDS) if scheme is None else scheme)
     fold = parts_apart(fold, group, rows.sets)
     number = int(fold.max()) + 1
     fits: dict[str, Fit] = {}

@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 
 from calib.assessment.all_harmonics import Known
+from calib.assessment.eliminated import Own
 from calib.assessment.entering import Blocks, Products, filled
 from calib.assessment.validation import HeldOut, held_out
 from calib.foundations.arrays import Array, BoolArray, IntArray
@@ -83,6 +84,15 @@ class Judged(NamedTuple):
         return np.stack([way.values for way in self.ways])
 
 
+class _Rows(NamedTuple):
+    """Rows of one set: sigmas (n, d), whitened ``J_r`` (n, d, p + 1) and what they are about of their own."""
+
+    measurements: int
+    sigma: Array
+    J_r: Array
+    own: Own | None
+
+
 class LinearisedSystem:
     """The linearised rows of geometry and all candidates, at the geometric fit."""
 
@@ -108,33 +118,35 @@ class LinearisedSystem:
         parameters = tuple(
             p if (prior := known.get(p.name, p.prior)) == p.prior else replace(p, prior=prior) for p in whole.parameters
         )
-        if (count := sum(parameter.kind != "term" for parameter in parameters)) > _MOST_UNKNOWNS:
+        self._problem = replace(whole, parameters=parameters, reference=frames, held=held, given_losses=given)
+        # A stated prior pulls towards zero; a weak one holds at the geometric fit.
+        stated = np.array([parameter.prior is not None for parameter in parameters])
+        self._split = self._problem.of_known_widths.without(stated)
+        common = self._split.common
+        if (count := sum(parameters[k].kind != "term" for k in common)) > _MOST_UNKNOWNS:
             raise IdentificationError(
                 f"terms are chosen beside {_MOST_UNKNOWNS} unknowns of arm, base, tools and targets at most, and here "
                 f"are {count}; choose them by some of the targets, or by hand."
             )
-        self._problem = replace(whole, parameters=parameters, reference=frames, held=held, given_losses=given)
         self._x = values_at(full.robot, parameters, frames, held)
         self._sigmas = sigmas_of(
             self._problem, [noise.model**2 for noise in geometric.noise_by_rows], geometric.residuals
         )
-        self._kept: tuple[tuple[int, slice, Array, Array], ...] | None = None
+        self._kept: tuple[_Rows, ...] | None = None
         self._looked_at = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
-        self._numbers = sum(data.sigma[own].size for data, own in zip(sets, self._looked_at, strict=True))
         # Known without any row: relations between targets, that turns and a size which nothing tells stay, and priors.
-        related, moving = without_rows(self._problem, self._sigmas, self._x)
+        related, moving = without_rows(self._problem, self._sigmas, self._x, self._split)
         rows = np.concatenate([related, np.pad(moving.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
         self._known = rows.T @ rows
-        priors = np.array([parameter.hold for parameter in parameters]) ** 2
-        # A stated prior pulls towards zero; a weak one holds at the geometric fit.
-        stated = np.array([parameter.prior is not None for parameter in parameters])
-        unknowns = range(len(parameters))
+        priors, self._held = self._split.parts(np.array([parameter.hold for parameter in parameters]) ** 2)
+        self._held[~self._split.real] = 1.0
+        unknowns = range(len(common))
         self._known[unknowns, unknowns] += priors
-        self._known[:-1, -1] += priors * np.where(stated, self._x / scales(parameters), 0.0)
-        self._weak = np.where(stated, 0.0, priors)
+        self._known[:-1, -1] += priors * np.where(stated, self._x / scales(parameters), 0.0)[common]
+        self._weak = np.where(stated[common], 0.0, priors)
         self._fixed = self._problem.robust or (model_sigmas is not None and None not in model_sigmas)
-        self._geometry = [k for k, parameter in enumerate(parameters) if parameter.kind != "term"]
-        number = {parameter.name: k for k, parameter in enumerate(parameters)}
+        self._geometry = [k for k, parameter in enumerate(common) if parameters[parameter].kind != "term"]
+        number = {parameters[parameter].name: k for k, parameter in enumerate(common)}
         self._columns = [[number[term.name] for term in candidate.terms] for candidate in offered]
         self._filled = filled(self._columns)
 
@@ -153,38 +165,43 @@ class LinearisedSystem:
         """Return the columns of some candidates."""
         return np.array([column for k in candidates for column in self._columns[k]], dtype=np.intp)
 
-    def _rows(self) -> Iterable[tuple[int, slice, Array, Array]]:
-        """Return set, rows, sigmas (n, d) and whitened ``[J r]`` (n, d, p + 1), block by block.
+    def _rows(self) -> Iterable[_Rows]:
+        """Return all rows, part by part.
 
         They are asked for again and again, and kept unless they are too many.
         """
         if self._kept is None:
-            width = 8 * (len(self._problem.parameters) + 1)
+            width = 8 * (len(self._known) + self._split.blocks.shape[1])
             size = sum(width * sigmas.size for sigmas in self._sigmas)
             if size > _MOST_KEPT:
                 return self._made()
             self._kept = tuple(self._made())
         return self._kept
 
-    def _made(self) -> Iterable[tuple[int, slice, Array, Array]]:
+    def _made(self) -> Iterable[_Rows]:
         problem = self._problem
-        rates = problem.rates(problem.machine(self._x), scales(problem.parameters))
+        rates = problem.rates(problem.machine(self._x), scales(problem.parameters), self._split)
         sets = zip(problem.measurements, self._sigmas, self._looked_at, strict=True)
         for i, (every, sigmas, own) in enumerate(sets):
             data, sigma = (every, sigmas) if own.all() else (every.subset(own), sigmas[own])
             for block in rates.blocks(data):
-                whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2)
-                yield i, block.rows, sigma[block.rows], whole / sigma[block.rows, :, None]
+                s = sigma[block.rows, :, None]
+                whole = np.concatenate([block.J, block.observed.residual[:, :, None]], axis=2) / s
+                alone = None if block.own is None or block.block is None else Own(block.own / s, block.block)
+                yield _Rows(i, sigma[block.rows], whole, alone)
 
     def products(self, fold: IntArray) -> Products:
-        """Return the products of the columns of ``[J r]`` (p + 1) for the rows of every fold (N,)."""
+        """Return the products of the columns of ``[J r]`` (p + 1) for rows without those of every fold (N,)."""
 
-        def rows() -> Iterable[tuple[IntArray, Array]]:
+        def rows() -> Iterable[tuple[IntArray, Array, Own | None]]:
             start = 0
-            for _, _, _, block in self._rows():
-                yield fold[start : (start := start + len(block))], block
+            for part in self._rows():
+                yield fold[start : (start := start + len(part.J_r))], part.J_r, part.own
 
-        return Products(rows(), int(fold.max()) + 1, self._numbers, len(self._known), self._filled[0])
+        numbers = sum(
+            data.sigma[own].size for data, own in zip(self._problem.measurements, self._looked_at, strict=True)
+        )
+        return Products(rows(), int(fold.max()) + 1, numbers, len(self._known), self._filled[0], self._held)
 
     def judged(
         self,
@@ -204,7 +221,7 @@ class LinearisedSystem:
             progress(f"choosing joint terms: fold {k + 1} of {len(products)}")
             ways.append(self.way(products, among, without=k, steps=steps))
         progress("choosing joint terms: judging by what was held out")
-        squares, rms = self.squares(fold, np.stack([way.values for way in ways]))
+        squares, rms = self.squares(products, fold, np.stack([way.values for way in ways]))
         return Judged(products, fold, group, tuple(ways), squares, [held_out(row, group) for row in squares], rms)
 
     def scatter(self, poses: Array, whole: Array, without: Array) -> Array:
@@ -220,6 +237,7 @@ class LinearisedSystem:
             return np.full(len(whole), np.inf)
         by_state = tool_jacobian(problem.model.robot, machine, at, ordinary(at))[:, :3]
         J = by_state @ (directions(problem.parameters, by_state.shape[2]) * scales(problem.parameters))
+        J = J[:, :, self._split.common]
         change = (without - whole) @ J.reshape(-1, len(self._known) - 1).T
         return np.asarray(np.sqrt((places - 1) / places * np.sum(np.mean(change**2, axis=2) * 3.0, axis=0)))
 
@@ -265,7 +283,7 @@ class LinearisedSystem:
             best, gain = blocks.take()
             new, terms = self._columns[best], ends[-1] - first
             if (most is not None and terms + len(new) > most) or (
-                lasting and gain * (self._numbers - ends[-1]) <= _BY_CHANCE * squares
+                lasting and gain * (products.freedom(None) - ends[-1]) <= _BY_CHANCE * squares
             ):
                 break
             squares -= gain * self._costs[best]
@@ -280,22 +298,24 @@ class LinearisedSystem:
         values[:, entered] = sums[:, np.array(ends[1:]) - 1].T
         return Way(tuple(order), values)
 
-    def squares(self, fold: IntArray, values: Array) -> tuple[Array, Mapping[str, Array]]:
+    def squares(self, products: Products, fold: IntArray, values: Array) -> tuple[Array, Mapping[str, Array]]:
         """Return mean squared whitened errors (steps, N) of rows held out, and the rms (steps,) of every quantity.
 
-        ``values`` (folds, steps, p): what every fold has found without its own rows.
+        ``products``: of every ``fold`` (N,); ``values`` (folds, steps, p): what each has found without its own rows.
         """
         found: list[Array] = []
         sums: dict[str, Array] = {}
         counts: dict[str, int] = {}
         start = 0
-        for i, _, sigma, rows in self._rows():
-            own = fold[start : (start := start + len(rows))]
+        for i, sigma, rows, own in self._rows():
+            of = fold[start : (start := start + len(rows))]
             errors = np.empty((values.shape[1], *rows.shape[:2]))
-            for k in np.unique(own):
-                here = rows[own == k]
+            for k in np.unique(of):
+                those = of == k
+                about = None if own is None else Own(own.by[those], own.block[those])
+                here = products.following(rows[those], about, k)
                 changes = here[:, :, :-1].reshape(-1, here.shape[2] - 1) @ values[k].T
-                errors[:, own == k] = changes.T.reshape(-1, *here.shape[:2]) + here[:, :, -1]
+                errors[:, those] = changes.T.reshape(-1, *here.shape[:2]) + here[:, :, -1]
             found.append(np.mean(errors**2, axis=2))
             for name, _, columns in QUANTITIES[self._problem.measurements[i].kind]:
                 more = np.sum((errors[:, :, columns] * sigma[:, columns]) ** 2, axis=(1, 2))

@@ -19,7 +19,7 @@ def models(
             "--folds",
             metavar="N",
             min=2,
-            help=f"Number of parts, held out in turn.  [default: {FOLDS}; 5 of more than 5000 rows]",
+            help=f"Number of parts, held out in turn.  [default: {FOLDS}; 5 of more than 5000 rows or 200 targets]",
         ),
     ] = None,
     leave_one_group_out: Annotated[

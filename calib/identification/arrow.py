@@ -68,6 +68,12 @@ class Split:
         """Return the split with some of the blocks."""
         return Split(self.common, self.blocks[which])
 
+    def without(self, parameters: BoolArray) -> "Split":
+        """Return the split of which blocks with any of some ``parameters`` (p,) are common."""
+        also = np.any(self.real & parameters[self.blocks], axis=1)
+        more = self.blocks[also][self.real[also]]
+        return Split(np.sort(np.concatenate([self.common, more])), self.blocks[~also])
+
     def parts(self, x: Array) -> tuple[Array, Array]:
         """Return the common entries (c, ...) of numbers (p, ...), and those of the blocks (m, a, ...), 0 for none."""
         own = np.asarray(x)[np.where(self.real, self.blocks, 0)]

@@ -116,11 +116,19 @@ class Problem:
     def split(self) -> Split:
         """Which parameters are common, and which those of blocks: of many rows or of a few.
 
-        Known relations join targets to each other. What the whole set-up's motions are imitated by is seen together,
-        targets aside; and a width that is to be learned is judged by all that is unknown.
+        A width that is to be learned is judged by all that is unknown.
         """
         if any(parameter.group is not None for parameter in self.parameters):
             return Split.none(len(self.parameters))
+        return self.of_known_widths
+
+    @cached_property
+    def of_known_widths(self) -> Split:
+        """The same where no width is learned any more.
+
+        Known relations join targets to each other. What the whole set-up's motions are imitated by is seen together,
+        targets aside.
+        """
         return self._by_what_is_known(targets_alone=self.motions is not None)
 
     @cached_property

@@ -119,7 +119,7 @@ def linear(rng: np.random.Generator) -> tuple[Known, Products, Array, Array, Arr
     products = np.diag(np.append(np.full(19, 1e-4), 0.0))
     harmonics = np.arange(3, 19).reshape(2, 4, 2)
     known = Known(products, np.where(np.arange(19) < 3, 0.0, 1e-4), np.arange(3), 0.1, fixed=False)
-    return known, Products([(fold, rows)], 5, 0, 20, harmonics.reshape(-1, 2)), rows, fold, harmonics
+    return known, Products([(fold, rows, None)], 5, 0, 20, harmonics.reshape(-1, 2)), rows, fold, harmonics
 
 
 def test_widths_that_begin_elsewhere_end_at_the_same_place() -> None:
@@ -141,7 +141,7 @@ def test_without_a_fold_they_are_what_its_rows_left_out_would_find() -> None:
     found = offer.values(products, none)
     for k in range(5):
         left = rows[fold != k]
-        alone = Products([(np.zeros(len(left), dtype=np.intp), left)], 1, 0, 20, harmonics.reshape(-1, 2))
+        alone = Products([(np.zeros(len(left), dtype=np.intp), left, None)], 1, 0, 20, harmonics.reshape(-1, 2))
         own = Offer.of(known, harmonics, alone, none[0], 8)
         assert own is not None
         J, r = left.reshape(-1, 20)[:, :11], left.reshape(-1, 20)[:, 19]

@@ -13,7 +13,9 @@ from calib.assessment.choice import candidates, choose_terms
 from calib.assessment.linearised import Candidate, LinearisedSystem
 from calib.assessment.validation import cross_validate
 from calib.foundations.errors import IdentificationError
+from calib.identification.arrow import Split
 from calib.identification.error_model import with_terms
+from calib.identification.system import Problem
 from calib.presentation.sheets import choice_sheet
 from calib.robot.terms.harmonic import OFFERED, harmonic
 from calib.robot.urdf import parse_urdf
@@ -386,3 +388,32 @@ def test_sigmas_that_cannot_be_weighed_together_are_said() -> None:
     model = machines.model(lab.robot, offsets="all", placements="all", relations=[far])
     with pytest.raises(IdentificationError, match="differ by too much to be weighed together"):
         choose_terms(model, [lab.positions(40), lab.sockets(12)])
+
+
+@pytest.mark.parametrize(("size", "placed"), [(2e-4, True), (2e-5, True), (2e-4, False)])
+def test_targets_that_are_eliminated_leave_the_choice_as_it_was(
+    size: float, placed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of touches in sockets and planes, with a wave of one reading.
+
+    Without positions, a turn and the size of all are unknown: they are held at the fit, with the targets or without.
+    """
+    lab = touching.lab(3, noise=2e-5)
+    waving = [lab.sockets(30), lab.planes(14, tuple(touching.NORMALS)), *([lab.positions(20)] if placed else [])]
+    for data in waving:
+        wave = np.zeros_like(data.readings)
+        wave[:, 2] = size * np.cos(2.0 * data.readings[:, 2])
+        object.__setattr__(data, "readings", data.readings + wave)
+    model = machines.model(lab.robot, offsets="all", placements="all", base="fixed")
+    found = choose_terms(model, waving)
+    monkeypatch.setattr(Problem, "of_known_widths", property(lambda problem: Split.none(len(problem.parameters))))
+    whole = choose_terms(model, waving)
+    assert found.taken == whole.taken
+    assert bool(found.taken) == (size > 1e-4)
+    for own, other in zip(found.records(), whole.records(), strict=True):
+        assert own["added"] == other["added"]
+        np.testing.assert_allclose(own["held_out"], other["held_out"], rtol=1e-6 if placed else 2e-2)
+    harmonics = found.all_harmonics, whole.all_harmonics
+    if harmonics[0] is not None and harmonics[1] is not None:
+        np.testing.assert_allclose(harmonics[0].held_out.rms, harmonics[1].held_out.rms, rtol=1e-4 if placed else 2e-2)
+        np.testing.assert_allclose(harmonics[0].widths, harmonics[1].widths, rtol=1e-3 if placed else 0.1)
