@@ -48,8 +48,8 @@ TERMS, OWN = "joint terms", "as in the job"
 _SOLVED = 1e-6
 # Rows that models are compared by: every one is fitted once for every fold.
 _ENOUGH_ROWS = 2000
-# Of tables with more rows or targets there are fewer folds, where nobody says how many.
-_VERY_MANY_ROWS, _VERY_MANY_TARGETS, _FEWER_FOLDS = 5000, 200, 5
+# Of tables with more rows, or with more targets, tools and set-ups, there are fewer folds, where nobody says how many.
+_VERY_MANY_ROWS, _VERY_MANY_THINGS, _FEWER_FOLDS = 5000, 100, 5
 # All rows of all fits of one model, where every group is held out by itself.
 _MOST_FITTED = 100_000
 
@@ -175,12 +175,12 @@ def compare_models(
 ) -> ModelComparison:
     """Compare models of one robot by grouped cross-validation, all on the same folds.
 
-    ``scheme``: the number of folds, or "leave-one-group-out"; when None 10 folds, of more than 5000 rows or 200
-    targets 5. Rows of one pose, of one socket (where there are two or more) and of one word in the column ``group`` stay together; of more
-    than 2000 rows, 2000 are used, taken at random over all groups, the same ones every time. ``choose``: names of the
-    models to which joint terms are added that :func:`calib.judging.choose_terms` finds, in every fold anew; when None,
-    that of :func:`nested_models` which stands for them. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`;
-    every held-out row counts the same.
+    ``scheme``: the number of folds, or "leave-one-group-out"; when None 10 folds, of more than 5000 rows, or a hundred
+    targets, tools and set-ups, 5. Rows of one pose, of one socket (where there are two or more) and of one word in the
+    column ``group`` stay together; of more than 2000 rows, 2000 are used, taken at random over all groups, the same
+    ones every time. ``choose``: names of the models to which joint terms are added that
+    :func:`calib.judging.choose_terms` finds, in every fold anew; when None, that of :func:`nested_models` which stands
+    for them. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`; every held-out row counts the same.
     ``progress`` is told each fit, and how many more there are.
 
     A model with more unknowns than the rows determine is refused; when all are, this raises IdentificationError. Raises
@@ -201,7 +201,8 @@ def compare_models(
     masks = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
     rows = ChosenRows(sets, model_sigmas, losses).some(masks)
     group = np.unique(group[looked_at], return_inverse=True)[1]
-    many = all_rows > _VERY_MANY_ROWS or any(len(data.targets) > _VERY_MANY_TARGETS for data in sets)
+    things = {(k, name) for d in sets for k, names in enumerate((d.targets, d.tools, d.setups)) for name in names}
+    many = all_rows > _VERY_MANY_ROWS or len(things) > _VERY_MANY_THINGS
     fold = _folds(group, (_FEWER_FOLDS if many else FOLDS) if scheme is None else scheme)
     fold = parts_apart(fold, group, rows.sets)
     number = int(fold.max()) + 1

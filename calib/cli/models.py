@@ -19,7 +19,8 @@ def models(
             "--folds",
             metavar="N",
             min=2,
-            help=f"Number of parts, held out in turn.  [default: {FOLDS}; 5 of more than 5000 rows or 200 targets]",
+            help="Number of parts, held out in turn.  "
+            f"[default: {FOLDS}; 5 of more than 5000 rows, or a hundred targets, tools and set-ups]",
         ),
     ] = None,
     leave_one_group_out: Annotated[

@@ -611,7 +611,14 @@ def _different(job: tuple[tuple[str, str], ...] = (), sigma: float = _NOISE) -> 
     return write
 
 
-def _unrelated(observes: str, rows: int, cells: str = "", columns: str = "", relations: int = 0) -> Hostile:
+def _unrelated(
+    observes: str,
+    rows: int,
+    cells: str = "",
+    columns: str = "",
+    relations: int = 0,
+    run: tuple[str, ...] = _CALIBRATE,
+) -> Hostile:
     """Fill a table with ``rows`` touches of each of most targets at poses that have nothing to do with them.
 
     ``relations`` between as many targets as may have some contradict each other.
@@ -633,7 +640,16 @@ def _unrelated(observes: str, rows: int, cells: str = "", columns: str = "", rel
         section = f'[[measurements]]\nfile = "identification.csv"\nobserves = "{observes}"\nsigma = "0.1 mm"\n'
         _own_job(folder, "arm_cmm.urdf", "probe", 'base = "fixed"\n', section, *known)
 
-    return Hostile(write)
+    return Hostile(write, run)
+
+
+def _crossed(folder: Path, size: int) -> None:
+    """Measure, in turn, forty tools from forty places of the tracker."""
+    robot = load_robot(folder / "arm_cmm.urdf", "probe")
+    header, table = _seen_by_tracker(robot, size // 90)
+    lines = (f"{','.join(f'{v:.3f}' for v in row)},t{k % 40},s{k // 7 % 40}" for k, row in enumerate(table))
+    (folder / "identification.csv").write_text("\n".join([f"{header},tool,setup", *lines]) + "\n", encoding="utf-8")
+    _own_job(folder, "arm_cmm.urdf", "probe", _measured("identification.csv"))
 
 
 def _nowhere(folder: Path, size: int) -> None:
@@ -1519,6 +1535,8 @@ HOSTILE: dict[str, Hostile] = {
     "indicators": _rows(lambda k: f"t{k // 4 % MOST_TOUCHED},1", "target,indicated [mm]", _observed("indicator")),
     "held out groups": _rows(lambda k: f"g{k}", "group", (('sigma = "0.02 mm"', 'sigma = "0.02 mm"\nhold_out = 0.5'),)),
     "chosen terms": _rows(lambda _: "", "", (("[error_model]", '[error_model]\nterms = "auto"'),)),
+    "models of sockets": _unrelated("socket", 3, run=_MODELS),
+    "models of crossed set-ups": Hostile(_crossed, _MODELS),
     "models of many rows": Hostile(_rows(lambda _: "", "").write, _MODELS),
     "models of many poses": Hostile(_different(), _MODELS),
     "models of a parallelogram": Hostile(_parallelogram, _MODELS),
