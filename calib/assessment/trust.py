@@ -42,7 +42,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.of_fit import machine_of
 from calib.measurement.checks import Finding
 
-_COMPLIANCE, _BACKLASH = ".elastic", ".backlash"
+_COMPLIANCE, _BY_TORQUES, _BACKLASH = ".elastic", ".torque", ".backlash"
 # The model's part of a table's noise, over all noise of the others and over what its own instrument has.
 _UNLIKE = 3.0
 # Standard deviations of a stated prior by which what is found may be off. A scale is that of a board's print, which is
@@ -197,6 +197,16 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
                 f"Compliances are below zero by more than {of_rows.SURE:g} standard deviations, of "
                 f"{listed(rising)}: no drive rises under weight. Check the direction of gravity, the "
                 "payload and the masses of the URDF; other payloads and set-ups are not to be predicted with them.",
+            )
+        )
+    if yielding := _surely(fit, _BY_TORQUES, -1.0):
+        found.append(
+            Finding(
+                "warning",
+                "compliance-below-zero",
+                f"Compliances by measured torques are below zero by more than {of_rows.SURE:g} standard deviations, of "
+                f"{listed(yielding)}: no joint moves against what pulls at it. Check the sign of the torques: they are "
+                "what a drive holds the arm with, positive where it pushes its reading up.",
             )
         )
     if (ahead := _surely(fit, _BACKLASH, 1.0)) and not _surely(fit, _BACKLASH, -1.0):

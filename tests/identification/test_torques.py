@@ -7,6 +7,7 @@ import pytest
 
 import calib
 from calib.assessment.choice import choose_terms
+from calib.assessment.trust import remarks
 from calib.foundations.errors import MeasurementError
 from calib.presentation.sheets import choice_sheet
 from tests.support import machines
@@ -96,3 +97,16 @@ def test_a_sigma_below_zero_is_refused_with_its_line() -> None:
     columns |= {f"{axis} [m]": np.zeros(2) for axis in "xyz"} | {"sigma_tau [Nm]": np.array([1.0, -1.0])}
     with pytest.raises(MeasurementError, match=r"column 'sigma_tau': -1 is not a standard deviation; allowed is 0 Nm"):
         calib.read_measurements(columns, robot)
+
+
+def test_torques_with_the_sign_turned_are_told() -> None:
+    """They explain positions as well, with compliances below zero."""
+    for sign, told in ((1.0, False), (-1.0, True)):
+        columns = table(3, 0.5, stated=False)
+        for name in SOFT:
+            columns[f"tau_{name} [Nm]"] = sign * np.asarray(columns[f"tau_{name} [Nm]"])
+        fit = calib.identify(model(), calib.read_measurements(columns, machines.load(*UR10), sigma=SIGMA))
+        found = [one for one in remarks(fit) if one.code == "compliance-below-zero"]
+        assert len(found) == told
+    assert "of 'shoulder_lift_joint', 'elbow_joint': no joint moves" in found[0].sentence
+    assert "Check the sign of the torques" in found[0].sentence
