@@ -115,7 +115,7 @@ def verdict(
             of_rows.one_machine(mixed_machines(parts), fit),
             of_rows.outliers(fit, own),
             of_rows.frozen(own),
-            of_rows.in_line(own),
+            of_rows.in_line(fit, own),
             of_arm.joints(fit, own),
             of_arm.lengths(fit, parts),
             of_arm.tool_and_base(fit),

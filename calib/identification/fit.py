@@ -222,6 +222,12 @@ class Fit:
         bases = self.machine.frames.bases
         return _by_name(self.measurements[0].setups, bases, data.setups, bases[0])[data.setup]
 
+    def places_of(self, data: Measurements) -> Array:
+        """Return the measured points (N, 3) as the first set-up would see them: those of set-ups have no one frame."""
+        assert data.position is not None, "positions and poses have one"
+        moved = self.machine.frames.bases[0] @ rigid.inverse(self.bases_of(data))
+        return np.asarray((moved[:, :3, :3] @ data.position[:, :, None])[..., 0] + moved[:, :3, 3])
+
     def tips_before_targets(self, data: Measurements) -> Array:
         """Return the tips (N, 4, 4) of rows in the frame in which their targets are told: a link's, where one is."""
         tips = self.bases_of(data) @ data.tips(self.robot, self.deviations)

@@ -99,6 +99,27 @@ def failed(found: calib.Calibration) -> set[str]:
 # ---- the verdict
 
 
+@pytest.mark.parametrize("scrambled", [False, True])
+def test_where_stations_stand_widens_nothing_that_the_arm_was_shown_for(cell: Cell, scrambled: bool) -> None:
+    q = cell.draw(30)
+    seen = cell.machine.see(q)
+    seen[:, :3, 3] += cell.rng.normal(scale=5e-5, size=(30, 3))
+    moved = machines.pose((40.0, -10.0, 1.0), (0.1, 0.2, 2.0)) @ seen
+    read = cell.draw(30) if scrambled else q  # or readings that do not belong to the points
+    alike = machines.table(cell.machine.arm, np.tile(read, (2, 1)), np.concatenate([seen, seen]), "position")
+    parted = machines.table(cell.machine.arm, np.tile(read, (2, 1)), np.concatenate([seen, moved]), "position")
+    stations = {"setup": ["hall"] * 30 + ["yard"] * 30}
+    one, two = (
+        calib.assess(calib.identify(cell.model, calib.read_measurements(table, cell.robot, sigma=5e-5)))
+        for table in (alike, parted | stations)
+    )
+    assert one.shown[0] == two.shown[0]
+    for name in ("places", "explained"):
+        was, now = (next(c.statistic for c in each.checks if c.name == name) for each in (one, two))
+        assert now == pytest.approx(was, rel=0.05)
+    assert ("explained" in failed(two)) is scrambled
+
+
 def test_a_sound_calibration_passes_all_checks(cell: Cell, fit: calib.Fit) -> None:
     found = calib.assess(fit, cell.measured(cell.draw(20)))
     assert (found.trusted, found.doubts, failed(found)) == (True, (), set())

@@ -76,7 +76,7 @@ def _spread(fit: Fit, sets: Sequence[Measurements], data: Measurements, unit: st
     if unit == "px":
         return spread(data.value[:, :2])
     if data.position is not None:
-        return max(spread(data.position), ONE_PLACE * fit.model.robot.reach)
+        return max(spread(fit.places_of(data)), ONE_PLACE * fit.model.robot.reach)
     ends = [_points(fit, own, end) for own in sets for end in own.ends]
     return max(spread(np.concatenate(ends)), ONE_PLACE * fit.model.robot.reach)
 

@@ -302,11 +302,11 @@ def frozen(own: Sequence[JudgedSet]) -> Check:
     return Check.judged("frozen", share, FROZEN, said if share <= FROZEN else f"{where}: {said}", more)
 
 
-def in_line(own: Sequence[JudgedSet]) -> Check:
+def in_line(fit: Fit, own: Sequence[JudgedSet]) -> Check:
     """Whether points that were measured lie on one line, about which the whole robot may turn."""
     if not own or any(one.data.kind != "position" for one in own):
         return Check.idle("places", LINE, "Not only positions were measured.", least=True)
-    x = np.concatenate([one.data.position for one in own if one.data.position is not None])
+    x = np.concatenate([fit.places_of(one.data) for one in own])
     s = np.linalg.svd(x - x.mean(axis=0), compute_uv=False) if len(x) > 2 else np.zeros(2)
     share = float(s[1] / s[0]) if s[0] > 0.0 else 0.0
     said = f"The cloud of measured points is {share:.2g} times as wide as it is long"

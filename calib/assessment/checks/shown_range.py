@@ -16,8 +16,8 @@ def shown_range(fit: Fit, own: Sequence[JudgedSet], held_out: Sequence[JudgedSet
     judged = held_out or own
     data = [one.data for one in judged]
     said = []
-    places = [d.position for d in data if d.position is not None and len(d)]
-    whole = [one.data.position for one in own if one.data.position is not None]
+    places = [fit.places_of(d) for d in data if d.position is not None and len(d)]
+    whole = [fit.places_of(one.data) for one in own if one.data.position is not None]
     readings = np.concatenate([end.readings for d in data for end in d.ends])
     if places:
         box = np.ptp(np.concatenate(places), axis=0)
