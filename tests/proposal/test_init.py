@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calib.robot.sources import resolve
 from tests.proposal.twins import TWINS
 from tests.support import machines
 from tests.support.cases import run
-from tests.support.people import PANDA, UR10, robot, session, text
+from tests.support.people import PANDA, UR10, quaternions, robot, session, text
 
 UR10_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 OF = {twin.name: twin for twin in TWINS}
@@ -243,6 +244,7 @@ def test_a_job_with_a_header_of_others_is_told_what_fits(folder: Path) -> None:
         (["--observes", "plane"], "observes: 'plane' is not one of position, pose, socket, distance."),
         (["--column", "foo=X"], "columns: 'foo' is neither a joint of the arm nor a known column."),
         (["--column", "rx=X"], "columns: 'rx' is of an orientation, whose columns the fit finds;"),
+        (["--column", "qw=X"], "columns: qw is to be 'X', which is no scalar of a quaternion in measured.csv."),
         (["--column", "x=Y"], "measured.csv: its columns cannot be read as answered, 'x=Y'; name"),
         (["--orientation", "abc"], "orientation: 'abc' says what three angles or a matrix are, and no table has them;"),
     ],
@@ -252,6 +254,30 @@ def test_answers_that_are_none(folder: Path, options: list[str], sentence: str) 
     said = run("check", UR10, "measured.csv", *options)
     assert said.code == 1
     assert said.err.startswith(f"Error: {sentence}")
+
+
+@pytest.mark.parametrize(("order", "scalar"), [("wxyz", "Q0"), ("xyzw", "Q3")])
+def test_the_scalar_of_a_quaternion_may_be_named_where_the_hand_never_turns(
+    folder: Path, order: str, scalar: str
+) -> None:
+    arm, (pan, lift, elbow) = robot(UR10, "tool0"), np.random.default_rng(2).uniform(-1.0, 1.0, (3, 60))
+    flat = np.full(60, 0.4)
+    q = np.column_stack([pan, lift - 1.2, elbow + 1.2, -lift - elbow, pan + 0.3, flat])
+    tips = arm.tips(q)
+    turned = quaternions(tips[:, :3, :3] @ Rotation.from_rotvec([0.4, -0.9, 1.3]).as_matrix(), order)
+    tips[:, :3, 3] += 1e-3 * np.sin(3.0 * q[:, :3])
+    titles = [*(f"J{k + 1} [deg]" for k in range(6)), "X [mm]", "Y [mm]", "Z [mm]", "Q0", "Q1", "Q2", "Q3"]
+    measured = [np.degrees(q), 1e3 * tips[:, :3, 3], turned]
+    (folder / "measured.csv").write_text(text(titles, measured), encoding="utf-8")
+    asked = run("init", UR10, "measured.csv", "--yes")
+    assert asked.code == 1
+    assert "Q0, Q1, Q2, Q3 fit equally well as a quaternion with the scalar Q" in asked.err
+    assert "--column 'qw=Q0'" in asked.err
+    assert "--column 'qw=Q3'" in asked.err
+    said = run("init", UR10, "measured.csv", "--yes", "--column", f"qw={scalar}")
+    assert said.code == 0, said.err
+    columns = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))["measurements"][0]["columns"]
+    assert columns["qw"] == scalar
 
 
 def test_a_torque_may_be_named(folder: Path) -> None:

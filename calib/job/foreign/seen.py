@@ -19,7 +19,9 @@ from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
-# Columns beside joints for which a person may name one of the file's. Of orientations the fit decides.
+# Columns beside joints for which a person may name one of the file's. Of orientations the fit decides, but for the
+# scalar of a quaternion: rows of one orientation fit with the first and with the last of four numbers.
+SCALAR = QUATERNION_COLUMNS[0]
 CHOSEN = KNOWN - {*QUATERNION_COLUMNS}
 
 
@@ -43,7 +45,7 @@ class Seen:
         joints = {name for arm in self.arms for name in arm.joints}
         told = {f"{what}{name}" for what in (APPROACH, TORQUE) for name in joints}
         for ours, theirs in self.named.items():
-            if ours not in joints | told | CHOSEN:
+            if ours not in joints | told | CHOSEN | {SCALAR}:
                 raise JobError(f"columns: {_not_chosen(ours, sorted({*joints, *told, *CHOSEN}))}")
             if not any(theirs in (column.title, column.name) for column in raw.columns):
                 raise JobError(f"columns: {ours} is to be {theirs!r}, which is no column of {raw.where}.")

@@ -7,11 +7,12 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
+from calib.foundations.errors import JobError
 from calib.foundations.units import DEG, UNITS
 from calib.identification.followed import turned_along
-from calib.job.foreign.answers import Trial, ask, of_dimension, values_of
+from calib.job.foreign.answers import AskedError, Trial, ask, of_dimension, values_of
 from calib.job.foreign.fits import TIMES, options
-from calib.job.foreign.seen import Seen
+from calib.job.foreign.seen import SCALAR, Seen
 from calib.measurement.orientations import EULER, MAKERS, rotations_of
 from calib.measurement.raw import RawColumn
 from calib.measurement.roles import Orientation
@@ -48,6 +49,12 @@ def orientation_of(seen: Seen, best: Trial) -> tuple[str | None, tuple[int, ...]
         for convention, order, unit, rotation in _rotations(seen, one, own, numbers):
             angle = turned_along(best.tips, best.fit.base, rotation)
             ways.append(_Way(angle, convention, tuple(one.columns[k] for k in order), unit, rotation, one))
+    if (scalar := seen.named.get(SCALAR)) is not None:
+        ways = [way for way in ways if way.convention is None and way.columns[0] == seen.column(scalar)]
+        if not ways:
+            raise JobError(
+                f"columns: {SCALAR} is to be {scalar!r}, which is no scalar of a quaternion in {seen.raw.where}."
+            )
     if not ways or not np.isfinite(best.fit.share):
         return _only_written(seen, best)
     ways.sort(key=lambda way: way.angle)
@@ -67,18 +74,23 @@ def orientation_of(seen: Seen, best: Trial) -> tuple[str | None, tuple[int, ...]
     elif any(other.convention is not None for other in named):
         way = next(other for other in named if other.convention is not None)
     else:
-        choices = tuple(dict.fromkeys(other.convention or "quaternion" for other in alike))
-        raise ask(
-            "orientation",
-            f"{seen.raw.where}: {seen.titles(way.of.columns)} fit equally well as {', '.join(choices[:8])}",
-            choices,
-        )
+        raise _asked(seen, alike)
     seen.reasons.append(
         f"{seen.titles(way.columns)} are the orientation, {_called(way.convention)}"
         + ("" if way.convention in (None, "matrix") else f" in {way.unit}")
         + f": it turns with the arm within {way.angle / DEG:.2g} deg"
     )
     return way.convention, way.columns, way.unit
+
+
+def _asked(seen: Seen, alike: Sequence[_Way]) -> AskedError:
+    about = f"{seen.raw.where}: {seen.titles(alike[0].of.columns)} fit equally well"
+    names = tuple(dict.fromkeys(way.convention for way in alike if way.convention is not None))
+    if all(way.convention is not None for way in alike):
+        return ask("orientation", f"{about} as {', '.join(names[:8])}", names)
+    scalars = [seen.raw.columns[way.columns[0]].title for way in alike if way.convention is None]
+    choices = [f"'{SCALAR}={title}'" for title in scalars]
+    return ask("orientation", f"{about} as a quaternion with the scalar {' and '.join(scalars)}", choices, "--column")
 
 
 def _only_written(seen: Seen, best: Trial) -> tuple[str | None, tuple[int, ...], str] | None:
