@@ -185,6 +185,18 @@ def test_a_python_without_locks_is_told_in_a_sentence() -> None:
     assert err.endswith(f"ImportError: {said}")
 
 
+def test_a_python_without_locks_is_told_in_a_sentence_by_the_module_as_well(tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import sys\nsys.modules['fcntl'] = None\n", encoding="utf-8")
+    path = os.pathsep.join((str(tmp_path), str(Path(calib.cli.__file__).parents[2])))
+    done = subprocess.run(
+        [sys.executable, "-m", "calib", "check"],
+        capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("Error: calib needs the locks of files")
+    assert done.stderr.count("\n") == 1
+
+
 def test_what_cannot_be_imported_elsewhere_is_a_bug_and_shown() -> None:
     code, out, err = start("import sys; sys.modules['scipy'] = None\n" + MAIN, "check", "nothing.toml")
     assert (code, out) == (1, "")

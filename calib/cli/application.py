@@ -1,7 +1,7 @@
 """The application: its groups of commands, its exit codes, and the one way in which commands tell what they found."""
 
 import contextlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass, is_dataclass
 from functools import cache, update_wrapper
@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 
 from calib.cli.options import Json, Quiet, path_of
 from calib.foundations.json_text import document
+from calib.foundations.words import printable
 from calib_start import loading
 
 if TYPE_CHECKING:
@@ -41,8 +42,33 @@ COMMANDS = {module.rstrip("_").replace("_", "-"): f"calib.cli.{module}" for modu
 _Command = TypeVar("_Command", bound=Callable[..., None])
 
 
+@contextlib.contextmanager
+def _quoted() -> Iterator[None]:
+    """Let wrong usage in the block be told without the controls, and the marks of direction, that were typed."""
+    try:
+        yield
+    except Exception as error:
+        # typer has no public name for all kinds of wrong usage; this is what it tells of each.
+        if hasattr(error, "format_message"):
+            vars(error)["message"] = printable(str(vars(error)["message"]))
+        raise
+
+
 class _Grouped(TyperGroup):
-    """Lists commands in groups also where rich, which is slow to load, does not draw the help."""
+    """Lists commands in groups also where rich, which is slow to load, does not draw the help.
+
+    What was misspelt is quoted with an escape for every character that does not print.
+    """
+
+    def make_context(self, *given: Any, **more: Any) -> Any:
+        """Read the options before the command."""
+        with _quoted():
+            return super().make_context(*given, **more)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Read the options of the command, and run it."""
+        with _quoted():
+            return super().invoke(ctx)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
         """Write one list for every group, in the order of their first commands."""

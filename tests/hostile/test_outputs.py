@@ -104,6 +104,16 @@ def test_the_terminal_takes_no_orders(results: tuple[Path, Said]) -> None:
     assert not [c for c in said if not c.isprintable() and c != "\n"]
 
 
+@pytest.mark.parametrize(
+    "typed",
+    [("{}",), ("check", "{}", "--{}"), ("--{}",), ("check", "a", "-{}"), ("view", "a", "{}"), ("plan", "-n", "{}")],
+)
+def test_what_is_misspelt_commands_no_terminal(typed: tuple[str, ...]) -> None:
+    said = run(*(word.format(f"a{TERMINAL}\u2066b") for word in typed))
+    assert said.code == 2
+    assert not [c for c in said.err if not c.isprintable() and c != "\n"]
+
+
 def test_spreadsheets_compute_nothing(results: tuple[Path, Said]) -> None:
     text = (results[0] / "residuals.csv").read_text(encoding="utf-8")
     cells = [cell for row in csv.reader(io.StringIO(text)) for cell in row]
