@@ -2,7 +2,7 @@
 
 About the geometric fit everything is linear in the coefficients of joint terms. The whitened Jacobian of geometry and
 of all candidates is taken once, and what would be hundreds of fits are eliminations on its Gram matrices, one for every
-fold.
+fold. Targets, and other unknowns that few rows are about, are eliminated first.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -37,7 +37,7 @@ from calib.robot.terms import JointTerm, kind_of
 
 # Bytes of derivatives that are kept rather than made again.
 _MOST_KEPT = 2**28
-# Targets are not eliminated here: what many of them say of each other would fill the memory.
+# Beside what is eliminated. Of many more, as of tools and set-ups that cross, the products would fill the memory.
 _MOST_UNKNOWNS = 2000
 # A coefficient that helps by less, in variances of what is left, ends the way: of one that does nothing it is 1.
 _BY_CHANCE = 2.0
