@@ -41,8 +41,9 @@ _GROWN = 1.0
 _MOST_SPLITS = 60
 # Rows of a stream that are farther apart, in steps, are no neighbours.
 _GAP = 2.5
-# Rows on either side of a jump.
+# Rows on either side of a jump; and which share of either is on its own side of one reading, where a joint parts them.
 _LEAST_ROWS = 3
+_PARTED = 0.9
 # Kinds whose targets are measured from anywhere, and those that an arm touches.
 _FROM_ANYWHERE, _TOUCHED = ("distance", "indicator"), ("socket", "plane", "sphere")
 # The instrument's noise explains what remains where it leaves as much more often than this.
@@ -77,7 +78,8 @@ class Step:
     """The likeliest change between two rows: of ``what``, after row ``line`` of ``file``.
 
     ``size``: what it does to a row, over the standard deviation of what remains of one number. ``chance``: of one such
-    change anywhere, neighbouring rows taken for as many as they are worth.
+    change anywhere, neighbouring rows taken for as many as they are worth. ``parted``: the joint, if there is one, that
+    stood elsewhere in the rows before than in those after, so that errors of the arm there look like the change.
     """
 
     what: str
@@ -85,6 +87,7 @@ class Step:
     line: int
     size: float
     chance: float
+    parted: str = ""
 
 
 NO_EFFECT = Effect(float("nan"), float("nan"), float("nan"))
@@ -581,4 +584,19 @@ def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step 
     chance = min(1.0, _chance(score, rest, part) * len(places) * things)
     # The rows were thinned, maybe: their numbers are those of the whole set.
     line = int(part.data.lines[int(part.row[place - 1])])
-    return Step(what, part.data.where, line, size, chance)
+    return Step(what, part.data.where, line, size, chance, _parted(part, place))
+
+
+def _parted(part: Stretch, place: int) -> str:
+    """Return the joint of which one reading parts the rows before a place from the others; empty where none does."""
+    best, most = "", _PARTED
+    for joint, values in zip(part.joints, part.values.T, strict=True):
+        order = np.argsort(values, kind="stable")
+        low = np.cumsum(order < place)[:-1] / place
+        lower = np.cumsum(order >= place)[:-1] / (len(values) - place)
+        shares = np.maximum(np.minimum(low, 1.0 - lower), np.minimum(1.0 - low, lower))
+        # No reading lies between equal ones.
+        share = float(np.max(shares, initial=0.0, where=np.diff(values[order]) > 0.0))
+        if share >= most:
+            best, most = joint, share
+    return best

@@ -397,6 +397,22 @@ def test_a_jump_of_the_base_is_found_where_it_is(cell: Cell) -> None:
     assert worst.chance < 1e-20
 
 
+def test_a_jump_where_the_poses_change_too_may_be_of_the_arm(cell: Cell) -> None:
+    """Rows in which one joint is stretched follow the others, and this joint's gear is a milliradian off there."""
+    q = cell.draw(60)
+    q[:, 2] = np.where(np.arange(60) < 45, 1.0, -1.0) + 0.4 * q[:, 2]
+    true = q + np.where(q[:, 2:3] < 0.0, 1e-3, 0.0) * (np.arange(6) == 1)
+    moved = cell.measured(cell.draw(60))
+    moved = replace(moved, position=moved.position + np.where(np.arange(60) >= 45, 1e-3, 0.0)[:, None])
+
+    def doubt(data: calib.Measurements) -> str:
+        found = calib.assess(calib.identify(cell.model, data))
+        return next(text for text in found.doubts if "after this row" in text)
+
+    assert "as elbow_joint stood elsewhere before it than after it" in doubt(cell.measured(true, q))
+    assert doubt(moved).endswith("separately.")
+
+
 @pytest.mark.parametrize(("rows", "left"), [(12, 3.0), (13, 6.0), (14, 9.0)])
 def test_few_rows_that_are_sound_show_no_jump_and_no_strain(rows: int, left: float) -> None:
     """Where few numbers are left over, directions take up many of them: by F with as many as really remain."""

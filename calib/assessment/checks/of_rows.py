@@ -56,22 +56,26 @@ def jump(found: Sequence[Step], outliers: Outliers) -> Check:
     """Whether base, tool, a joint or a target moved between two rows."""
     real = [step for step in found if step.chance < RARELY]
     worst = max(real, key=lambda step: step.size, default=None)
-    size, said = 0.0, ""
+    size, said, parted = 0.0, "", ""
     if worst is not None:
-        size = worst.size
+        size, parted = worst.size, worst.parted
         said = f"{worst.file}:{worst.line}: after this row the {_thing(worst.what)} seems to have changed"
         said += f", by {size:.2g} times the scatter of the residuals"
     for target in outliers.moved:
         n, m = target.rows
         moved = float(np.sqrt(target.gain * (n + m) / (n * m)))
         if moved > size:
-            size = moved
+            size, parted = moved, ""
             said = f"{target.file}:{target.line}: after this row {target.target!r} seems to have moved, by {moved:.2g}"
             said += " times the scatter of the residuals"
     if size <= SIZE:
         said = f"Between no two rows is there a jump above {SIZE:g} times the scatter of the residuals."
         return Check.of("jump", size or NOTHING, SIZE, True, said)
-    return Check.of("jump", size, SIZE, False, f"{said}: identify the rows before it and after it separately.")
+    said += ": identify the rows before it and after it separately"
+    if parted:
+        said += f"; or, as {parted} stood elsewhere before it than after it, the arm has errors there that the model"
+        said += ' leaves out, which terms = "auto" may find'
+    return Check.of("jump", size, SIZE, False, f"{said}.")
 
 
 def _thing(what: str) -> str:
