@@ -19,7 +19,7 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.files import is_there, write_new
 from calib.foundations.ranges import OF_DIMENSION, RANGES, parse_within
-from calib.foundations.units import DISPLAY_OF, Dimension
+from calib.foundations.units import DISPLAY_OF, NUMBER, Dimension
 from calib.foundations.words import listed, shown
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.identify import identify
@@ -136,9 +136,8 @@ def sight(tracker: str | None, facing: str | None, acceptance: str, nearest: str
     """Return what the tracker sees; None where nothing is said of it."""
     if tracker is None:
         return None
-    x, y, z = (0.0, 0.0, 1.0) if facing is None else map(float, _three(facing, "facing"))
     return Sight(
-        facing=None if facing is None else (x, y, z),
+        facing=None if facing is None else _direction(facing, "facing"),
         acceptance=parsed(acceptance, "acceptance", "angle"),
         nearest=parsed(nearest, "nearest"),
         farthest=float("inf") if farthest is None else parsed(farthest, "farthest"),
@@ -184,15 +183,23 @@ def point(text: str, what: str) -> Array:
     return np.array([parsed(f"{number} {unit}", what) for number in _words(numbers, text, what)])
 
 
-def _three(text: str, what: str) -> list[float]:
-    return [parse_within(f"{number} rad", OF_DIMENSION["angle"], what) for number in _words(text.split(), text, what)]
+def _direction(text: str, what: str) -> tuple[float, float, float]:
+    """Return what points somewhere, three numbers without a unit; the planner says whether they are in range."""
+    words = _words(text.split(), text, what, "0 0 1")
+    if not all(map(NUMBER.fullmatch, words)):
+        raise _not_three(text, what, "0 0 1")
+    x, y, z = map(float, words)
+    return x, y, z
 
 
-def _words(numbers: list[str], text: str, what: str) -> list[str]:
+def _words(numbers: list[str], text: str, what: str, example: str = "50 0 50 mm") -> list[str]:
     if len(numbers) != 3:
-        example = "0 0 1" if what == "facing" else "50 0 50 mm"
-        raise JobError(f"{what}: {text!r} is not three numbers, like {example!r}.")
+        raise _not_three(text, what, example)
     return numbers
+
+
+def _not_three(text: str, what: str, example: str) -> JobError:
+    return JobError(f"{what}: {text!r} is not three numbers, like {example!r}.")
 
 
 def parsed(text: str, what: str, dimension: Dimension = "length") -> float:

@@ -165,6 +165,23 @@ def test_plan_of_a_urdf_with_sight_and_collisions(tmp_path: Path, monkeypatch: p
     assert (again.code, again.err) == (1, "Error: poses.csv: already exists; choose another name.\n")
 
 
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("a 0 1", "facing: 'a 0 1' is not three numbers, like '0 0 1'."),
+        ("0 nan 1", "facing: '0 nan 1' is not three numbers, like '0 0 1'."),
+        ("1e7 0 0", "facing is 1e+07; allowed is -1e+06 to 1e+06."),
+        ("1e999 0 0", "facing is inf; allowed is -1e+06 to 1e+06."),
+        ("0 0 0", "facing: (0.0, 0.0, 0.0) has no direction."),
+    ],
+)
+def test_a_direction_has_no_unit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, typed: str, said: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("arm.urdf").write_text(ARM, encoding="utf-8")
+    found = run("plan", "arm.urdf", "-o", "poses.csv", "--tracker", "2 0 0 m", "--facing", typed)
+    assert (found.code, found.err) == (1, f"Error: {said}\n")
+
+
 def test_plan_of_a_job_completes_what_was_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     copy_case(tmp_path)
     monkeypatch.chdir(tmp_path)
