@@ -1,6 +1,6 @@
 """What a row carries beside its readings, where joints stand differently for the same reading."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any
@@ -11,6 +11,8 @@ from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
+from calib.foundations.ranges import OF_DIMENSION
+from calib.foundations.units import Dimension
 from calib.robot.warming import lagged
 
 # Lengths are stated at this temperature (ISO 1), in degC.
@@ -61,11 +63,19 @@ class Conditions:
         return {name: values for name, values in zip(_NAMES, _every(self), strict=True) if values is not None}
 
     def refuse_other_rows(self, rows: int, readings: int) -> None:
-        """Raise RobotError where these are not the conditions of so many rows, of so many readings each."""
+        """Raise RobotError where these are not the conditions of so many rows, of so many readings each.
+
+        Nor are they where a number is beyond what the cells of a table may be; NaN says nothing, and is none.
+        """
         for name, values in self.told().items():
             needed = (rows, readings) if name in _OF_READINGS else (rows, *values.shape[1:])
             if values.shape != needed:
                 raise RobotError(f"conditions: {name} has the shape {values.shape}; of these rows it is {needed}.")
+            allowed = OF_DIMENSION[_DIMENSIONS.get(name, "number")]
+            low, high = allowed.ends
+            if (beyond := (values < low) | (values > high)).any():
+                row = int(np.argwhere(beyond)[0][0])
+                raise RobotError(f"conditions: {name} of row {row} is {values[beyond][0]:g}; allowed is {allowed}.")
 
     def in_time(self, times: Array) -> "Conditions":
         """Return the conditions of rows whose temperatures were told at times (N,) in s, for terms with memory.
@@ -88,6 +98,13 @@ NO_CONDITIONS = Conditions()
 _NAMES = tuple(field.name for field in fields(Conditions) if field.name != "ordered")
 _every = attrgetter(*_NAMES)
 _OF_READINGS = ("approach", "torque")
+_DIMENSIONS: Mapping[str, Dimension] = {
+    "temperature": "temperature",
+    "lagged": "temperature",
+    "torque": "torque",
+    "torque_sigma": "torque",
+    "gravity": "acceleration",
+}
 # What rows have of which nobody says anything, beside others of which somebody does; of all else, nobody then does.
 _UNSAID = {"payload": np.nan, "gravity": np.nan, "motion": 0.0}
 

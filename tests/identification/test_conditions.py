@@ -1,6 +1,7 @@
 """Backlash and temperature: terms of rows that say more than readings, found again and carried through."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -327,3 +328,15 @@ def test_conditions_of_other_rows_are_one_sentence(rows: int) -> None:
             asked(readings, conditions=of_others)
     with pytest.raises(RobotError, match=said):
         for_joint_targets(machine, readings, conditions=of_others)
+
+
+@pytest.mark.parametrize(("value", "shown"), [(np.inf, "inf"), (-1e300, "-1e+300"), (-301.0, "-301")])
+def test_conditions_beyond_all_ranges_are_one_sentence(value: float, shown: str) -> None:
+    robot = calib.error_model(machines.load(*UR10), terms={"thermal": ["elbow_joint"]}).robot
+    drifting = replace(robot.no_deviations(), terms=np.full(len(robot.terms), 1e-5))
+    machine = calib.CalibratedMachine(robot, drifting, np.eye(4), {"tool": np.eye(4)})
+    told = Conditions(temperature=np.array([20.0, np.nan, value]))
+    with pytest.raises(
+        RobotError, match=rf"^conditions: temperature of row 2 is {re.escape(shown)}; allowed is -300 to 10000 degC"
+    ):
+        machine.predict(np.zeros((3, 6)), conditions=told)
