@@ -280,6 +280,28 @@ def test_the_scalar_of_a_quaternion_may_be_named_where_the_hand_never_turns(
     assert columns["qw"] == scalar
 
 
+@pytest.mark.parametrize("named", [False, True])
+def test_what_a_controller_computed_is_no_measurement_beside_a_marker(folder: Path, named: bool) -> None:
+    s = session()
+    axes, numbers = (
+        ("x", "y", "z", "rx", "ry", "rz"),
+        ("joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6"),
+    )
+    titles = [*(f"marker_{axis}" for axis in axes), *numbers, *(f"measured_{axis}" for axis in axes)]
+    marker = [s.position, Rotation.from_matrix(s.rotation).as_rotvec()]
+    computed = [s.flange[:, :3, 3], Rotation.from_matrix(s.flange[:, :3, :3]).as_rotvec()]
+    (folder / "measured.csv").write_text(text(titles, [*marker, s.readings, *computed]), encoding="utf-8")
+    answers = [word for axis in "xyz" for word in ("--column", f"{axis}=marker_{axis}")] if named else []
+    said = run("init", UR10, "measured.csv", "--yes", *answers)
+    assert said.code == 0, said.err
+    table = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))["measurements"][0]
+    assert table["orientation"] == "rotation_vector"
+    assert {table["columns"][f"{axis} [m]"] for axis in "xyz"} == {"marker_x", "marker_y", "marker_z"}
+    assert table["columns"]["rx [rad]"] == "marker_rx"
+    computed_is_said = "measured_x, measured_y, measured_z are computed from the joints" in " ".join(said.out.split())
+    assert computed_is_said is not named
+
+
 def test_a_torque_may_be_named(folder: Path) -> None:
     s = session()
     torque = np.cos(s.readings[:, 0])

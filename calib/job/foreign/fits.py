@@ -153,6 +153,8 @@ def decided(seen: Seen, trials: Sequence[Trial]) -> Trial:
     """Return the only trial that the arm follows, or the one that names prefer among those; or ask."""
     best = trials[0]
     rivals = [t for t in trials if t.fit.share < max(TIMES * best.fit.share, ALIKE)]
+    computed = _computed(seen, rivals)
+    rivals = [t for t in rivals if t.point.columns not in computed]
     rivals = _of_the_same_joints(seen, _of_one_point(seen, rivals))
     arms = list(dict.fromkeys(t.pick.arm for t in rivals))
     if len(arms) > 1:
@@ -165,11 +167,21 @@ def decided(seen: Seen, trials: Sequence[Trial]) -> Trial:
             raise ask(name, f"{seen.raw.where}: {about} in {' and in '.join(units)} fit equally well", units)
     chosen = rivals[0]
     # What was only commanded is never taken without a word, nor anything else while something says it was measured.
-    points = {t.point for t in trials}
+    points = {t.point for t in trials if t.point.columns not in computed}
     if chosen.point.rank == 2 or (chosen.point.rank == 1 and any(point.rank == 0 for point in points)):
         raise _point_question(seen, points)
     _say_fit(seen, chosen, trials)
     return chosen
+
+
+def _computed(seen: Seen, rivals: Sequence[Trial]) -> set[tuple[int, ...]]:
+    """Return the columns of points that were computed from the joints, where another one may have been measured."""
+    found = {t.point.columns for t in rivals if t.fit.miss < _COMPUTED}
+    if not any(t.point.rank < 2 and t.point.columns not in found for t in rivals):
+        return set()
+    for columns in sorted(found):
+        seen.reasons.append(f"{seen.titles(columns)} are computed from the joints, by the nominal arm")
+    return found
 
 
 def _of_one_point(seen: Seen, rivals: Sequence[Trial]) -> list[Trial]:

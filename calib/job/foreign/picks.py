@@ -52,7 +52,9 @@ def _answered(seen: Seen, names: Sequence[str]) -> tuple[int, ...]:
 
 def _points(seen: Seen) -> list[roles.Point]:
     if given := _answered(seen, "xyz"):
-        return [roles.Point((given[0], given[1], given[2]), frozenset(), 1)]
+        # The words around its titles are those of its orientation, too.
+        words = (one.words for one in seen.known.points if one.columns == given)
+        return [roles.Point((given[0], given[1], given[2]), next(words, frozenset()), 1)]
     return list(seen.known.points)
 
 
