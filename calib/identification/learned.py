@@ -11,11 +11,13 @@ from typing import Literal
 
 import numpy as np
 
+from calib.foundations import linear
 from calib.foundations.arrays import Array, BoolArray
+from calib.identification.arrow import Arrow
 from calib.identification.parameters import Parameter, scales
 from calib.identification.set_up_motions import without
 from calib.identification.solver import Near, Solution, Sought, seek, solve
-from calib.identification.system import Problem
+from calib.identification.system import Evaluation, Problem
 from calib.identification.widths import WIDEST, NormalEquations, likeliest_widths, likelihood
 
 Outcome = Literal["learned", "too few", "nothing shows", "widest"]
@@ -107,12 +109,14 @@ def _equations(
 ) -> NormalEquations:
     """Return the equations at a solution, shifted to where stated priors have their means; weak ones hold there."""
     sigmas, evaluation = found.noise.sigmas, found.evaluation
-    parameters = problem.parameters
+    hold = np.array([parameter.hold for parameter in problem.parameters])
+    triangles, taken = _without_blocks(evaluation, hold)
+    parameters = [problem.parameters[k] for k in evaluation.split.common]
+    hold = hold[evaluation.split.common]
     p = len(parameters)
-    hold = np.array([parameter.hold for parameter in parameters])
     stated = np.array([parameter.prior is not None for parameter in parameters])
     shift = np.eye(p + 1)
-    shift[:p, p] = np.where(stated, -found.x / scales(parameters), 0.0)
+    shift[:p, p] = np.where(stated, -found.x[evaluation.split.common] / scales(parameters), 0.0)
 
     def gram(triangle: Array) -> Array:
         seen = triangle.copy()
@@ -125,15 +129,15 @@ def _equations(
     learned = np.array([parameter.group is not None for parameter in parameters])
     known[range(p), range(p)] += np.where(learned, 0.0, hold**2)
     least, counts = [], []
-    for component in problem.components:
+    for component, used in zip(problem.components, taken, strict=True):
         instrument = problem.measurements[component.measurements].sigma[:, component.columns]
         total = sigmas[component.measurements][:, component.columns]
         least.append(np.sqrt(np.mean(instrument**2) / np.mean(total**2)))
-        counts.append(instrument.size)
+        counts.append(instrument.size - used)
     given = [None] * len(counts) if variances is None else list(variances)
     # Where rows that lie off weigh less, their number says too little; the solver alone finds the noise.
     fixed = [v is not None or problem.robust for v in given]
-    grams = np.stack([gram(triangle) for triangle in evaluation.triangles])
+    grams = np.stack([gram(triangle) for triangle in triangles])
     finest = np.sqrt(grams[:, range(p), range(p)].max(axis=1) / _MOST_INFORMATION)
     coarser = np.maximum(finest, 1.0)
     return NormalEquations(
@@ -144,6 +148,23 @@ def _equations(
         np.array(fixed),
         np.array([-1 if q.group is None else names.index(q.group) for q in parameters], dtype=np.intp),
     )
+
+
+def _without_blocks(evaluation: Evaluation, hold: Array) -> tuple[list[Array], list[float]]:
+    """Return the rows (q, c + 1) of every component without blocks, and how many numbers these take of each.
+
+    ``hold`` (p,): how strongly weak priors hold what rows do not tell.
+    """
+    split, triangles, taken = evaluation.split, list[Array](), list[float]()
+    held = Arrow.empty(split).held(hold, np.zeros(len(hold))).heads
+    for part in evaluation.alone:
+        which, rows = part.heads
+        own = Arrow(split.of_blocks(which), np.concatenate([rows, held[which]], axis=1), part.rest)
+        reduced = own.reduced(linear.ROUNDING)
+        triangles.append(reduced.rest)
+        weak = np.einsum("mab,ma->", reduced.root**2, split.parts(hold)[1][which] ** 2)
+        taken.append(float(np.count_nonzero(split.real[which]) - weak))
+    return triangles, taken
 
 
 def _usual(parameters: Sequence[Parameter], names: Sequence[str]) -> Array:

@@ -116,15 +116,24 @@ class Problem:
     def split(self) -> Split:
         """Which parameters are common, and which those of blocks: of many rows or of a few.
 
-        A width that is to be learned is judged by all that is unknown.
+        Where widths are learned, the noise of every component is found with them, in equations without the blocks. So
+        these are of one component each then, and nothing but rows tells where they are.
         """
-        if any(parameter.group is not None for parameter in self.parameters):
-            return Split.none(len(self.parameters))
-        return self.of_known_widths
+        split = self.of_known_widths
+        if not len(split.blocks) or all(parameter.group is None for parameter in self.parameters):
+            return split
+        told = np.array([p.prior is not None or p.group is not None for p in self.parameters])
+        selection, components = self.selection(scales(self.parameters), split), np.zeros(len(split.blocks))
+        for data in self.measurements:
+            seen = np.unique(selection.things.blocks_of(selection.block, data))
+            components[seen[seen >= 0]] += len(QUANTITIES[data.kind])
+        several = split.blocks[components > 1]
+        told[several[several >= 0]] = True
+        return split.without(told)
 
     @cached_property
     def of_known_widths(self) -> Split:
-        """The same where no width is learned any more.
+        """The same where no width is to be learned.
 
         Known relations join targets to each other. What the whole set-up's motions are imitated by is seen together,
         targets aside.

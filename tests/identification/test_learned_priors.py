@@ -1,6 +1,7 @@
 """Priors whose width the data teach: the truth of a drawn population comes back, and nothing is taken from thin air."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,12 @@ from scipy.stats import multivariate_normal
 import calib
 from calib.foundations.errors import JobError
 from calib.foundations.linear import one_thread
+from calib.identification.arrow import Split
+from calib.identification.initialisation.problem import initial_problem
+from calib.identification.system import Problem
 from calib.identification.widths import NormalEquations, likeliest_widths, likelihood
 from scripts.studies import sigmas
-from tests.support import machines
+from tests.support import machines, touching
 from tests.support.gears import UR10, geared, wavy
 
 Array = np.ndarray
@@ -288,3 +292,23 @@ def test_a_width_is_a_number_or_to_be_learned() -> None:
         lab.model(prior_length="wide")
     with pytest.raises(JobError, match="takes no priors"):
         calib.judging.total_differential(lab.model(prior_length="learned"), lab.data(60), stop=1e-4)
+
+
+@pytest.mark.parametrize("placed", [False, True])
+def test_targets_that_are_eliminated_teach_the_same_widths(placed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of sockets and planes, each seen by a component of its own, whose noise is found with the widths."""
+    lab = touching.lab(5, noise=2e-5)
+    touched = [lab.sockets(12), lab.planes(12, tuple(touching.NORMALS)), *([lab.positions(15)] if placed else [])]
+    data = [replace(one, sigma=0.2 * one.sigma) for one in touched]
+    model = machines.model(
+        lab.robot, offsets="all", placements="all", base="fixed", priors=calib.Priors("learned", "learned")
+    )
+    assert initial_problem(model, data).split.blocks.shape == (6, 3)
+    found = calib.identify(model, data)
+    monkeypatch.setattr(Problem, "split", property(lambda problem: Split.none(len(problem.parameters))))
+    whole = calib.identify(model, data)
+    assert {own.outcome for own in found.learned} >= {"learned"}
+    for own, other in zip(found.learned, whole.learned, strict=True):
+        assert own.outcome == other.outcome
+        np.testing.assert_allclose((own.width, own.taught), (other.width, other.taught), rtol=1e-3)
+    np.testing.assert_allclose(found.values, whole.values, atol=1e-6)
