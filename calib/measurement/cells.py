@@ -10,6 +10,8 @@ from calib.foundations.errors import MeasurementError
 LONGEST_LINE = 100_000
 _BLOCK = 1_000_000  # bytes; more than a line takes that is not too long
 _ARCHIVE = b"PK\x03\x04"
+# Names of files of which calib import makes a table.
+_ARRAYS, _WORKBOOK, _RECORDS = ".npz", ".xlsx", (".json", ".jsonl", ".ndjson", ".yaml", ".yml")
 # What .xls begins with, and the name of the first member of an .ods, at its place.
 _OLE, _OPEN_DOCUMENT = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", (30, b"mimetype")
 # What other programs pack or write, by its first bytes, and what to do.
@@ -66,15 +68,18 @@ def beginning(data: bytes, where: str) -> list[Line]:
 
 def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
     at, member = _OPEN_DOCUMENT
+    if where.lower().endswith(_RECORDS):
+        raise MeasurementError(f"{where}: is of records, and no table; calib import {where} -o table.csv makes one.")
     if data.startswith(_OLE) or (data.startswith(_ARCHIVE) and data.startswith(member, at)):
         raise MeasurementError(f"{where}: is a document of another program, and no text; save it as .xlsx or as CSV.")
     if data.startswith(_ARCHIVE):
         to_do = (
             f"calib import {where} -o table.csv makes a table."
-            if where.lower().endswith(".xlsx")
+            if where.lower().endswith((_ARRAYS, _WORKBOOK))
             else "call it .xlsx, and calib import makes a table of it."
         )
-        raise MeasurementError(f"{where}: is a workbook, and no text; {to_do}")
+        kind = "an archive of arrays" if where.lower().endswith(_ARRAYS) else "a workbook"
+        raise MeasurementError(f"{where}: is {kind}, and no text; {to_do}")
     for begin, said in _OTHERS.items():
         if data.startswith(begin):
             raise MeasurementError(f"{where}: {said}")

@@ -251,6 +251,25 @@ def test_a_workbook_in_the_place_of_a_table_says_what_to_do(folder: Path) -> Non
     assert run("import", "m.csv", "-o", "t.csv") == (1, "", expected)
 
 
+@pytest.mark.parametrize("name", ["m.yaml", "m.yml", "m.json", "m.jsonl"])
+@pytest.mark.parametrize("command", ["init", "check"])
+def test_records_in_the_place_of_a_table_say_what_to_do(folder: Path, name: str, command: str) -> None:
+    s = session()
+    rows = [{f"joint_{k + 1}": q for k, q in enumerate(row)} | {"x": 1.0} for row in s.readings.tolist()]
+    text_of = json.dumps(rows) if name.endswith("n") else "\n".join(map(json.dumps, rows))
+    listed = "\n".join("- " + "\n  ".join(f"{key}: {value}" for key, value in row.items()) for row in rows)
+    (folder / name).write_text(listed if "y" in name else text_of, encoding="utf-8")
+    expected = f"Error: {name}: is of records, and no table; calib import {name} -o table.csv makes one.\n"
+    assert run(command, UR10, name) == (1, "", expected)
+    assert run("import", name, "-o", "table.csv").code == 0
+
+
+def test_arrays_in_the_place_of_a_table_say_what_to_do(folder: Path) -> None:
+    np.savez(folder / "m.npz", q=session().readings)
+    expected = "Error: m.npz: is an archive of arrays, and no text; calib import m.npz -o table.csv makes a table.\n"
+    assert run("init", UR10, "m.npz") == (1, "", expected)
+
+
 def test_a_workbook_of_a_kind_that_is_not_read_is_to_be_saved_anew(folder: Path) -> None:
     with zipfile.ZipFile(folder / "m.ods", "w") as archive:
         archive.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
