@@ -24,16 +24,16 @@ from calib.robot.joint_terms import weighed_at_zero
 from calib.robot.robot import Robot
 
 # Every level is a fit of its own rows, and another one of all rows, of base and tool, to judge it by. A table of few
-# rows takes as long as one of a hundred.
-_MOST_ROWS_OF_LEVELS, _MOST_TIMES, _FEWEST_OF_TABLE = 150_000, 20, 100
+# rows takes as long as one of a hundred, and so many joint terms as much again as all that is found without them.
+_MOST_ROWS_OF_LEVELS, _MOST_TIMES, _FEWEST_OF_TABLE, _TERMS = 150_000, 20, 100, 50
 
 
 def refuse_levels(
-    job: Job, robot: Robot, chosen: Sequence[Measurements], measured_nodes: Sequence[Measurements], path: Path
+    job: Job, model: ErrorModel, chosen: Sequence[Measurements], measured_nodes: Sequence[Measurements], path: Path
 ) -> None:
     """Refuse levels that name files which are not to be identified from, files that come twice, and what no level is.
 
-    ``chosen`` and ``measured_nodes``: the tables to identify from, and those of nodes.
+    ``model``: what is free. ``chosen`` and ``measured_nodes``: the tables to identify from, and those of nodes.
     """
     files = [section.file for section in _identified(job)]
     nodes = [section.file for section in job.measurements if section.use == "nodes"]
@@ -60,11 +60,13 @@ def refuse_levels(
     rows = {section.file: len(data) for section, data in zip(_identified(job), chosen, strict=True)}
     own = [level.measurements or rows for level in job.levels if not level.residual_model]
     asked = sum(max(rows[file], _FEWEST_OF_TABLE) for files_of in own for file in (*files_of, *rows))
-    if asked > (most := max(_MOST_ROWS_OF_LEVELS, _MOST_TIMES * sum(rows.values()))):
+    bound = int(_MOST_ROWS_OF_LEVELS / (1.0 + len(model.terms) / _TERMS))
+    if asked > (most := max(bound, _MOST_TIMES * sum(rows.values()))):
+        beside = f" beside {counted(len(model.terms), 'joint term')}" if model.terms else ""
         raise JobError(
             f"{path}: levels: {counted(len(own), 'level')}, each with its judgement on {counted(len(rows), 'table')}, "
-            f"take {asked} rows in all, where a table counts as {_FEWEST_OF_TABLE} at least; allowed are {most}. "
-            "Leave out levels, or put tables together."
+            f"take {asked} rows in all, where a table counts as {_FEWEST_OF_TABLE} at least; allowed are {most}"
+            f"{beside}. Leave out levels, or put tables together."
         )
     if not nodes and any(level.residual_model and level.residual_model.kind == "grid" for level in job.levels):
         raise JobError(f'{path}: levels: no measurements have use = "nodes", and a residual grid is made of these.')
@@ -74,7 +76,7 @@ def refuse_levels(
         raise JobError(f"{path}: measurements: a file appears twice, so that levels cannot name one of the two.")
     if job.levels and job.solver.kind != "least_squares":
         raise JobError(f"{path}: solver.kind: {job.solver.kind!r} does not work in levels; leave one of them out.")
-    _refuse_residual_model(job, robot, chosen, measured_nodes, path)
+    _refuse_residual_model(job, model.robot, chosen, measured_nodes, path)
 
 
 def _identified(job: Job) -> list[MeasurementsSection]:
