@@ -176,7 +176,7 @@ def decided(seen: Seen, trials: Sequence[Trial]) -> Trial:
 
 def _computed(seen: Seen, rivals: Sequence[Trial]) -> set[tuple[int, int, int]]:
     """Return the columns of points that were computed from the joints, where another one may have been measured."""
-    found: set[tuple[int, ...]] = {t.point.columns for t in rivals if t.fit.miss < _COMPUTED}
+    found = {t.point.columns for t in rivals if t.fit.miss < _COMPUTED}
     if not any(t.point.rank < 2 and t.point.columns not in found for t in rivals):
         return set()
     for columns in sorted(found):
