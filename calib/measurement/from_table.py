@@ -177,10 +177,10 @@ def measurements_from_table(
         found = seen_by(found, camera, Board())
     elif kind == "pair_distance":
         found = _paired(found, words(table, "pair"))
-    return _reached(found) if in_order else found
+    return reached(found) if in_order else found
 
 
-def _reached(found: Measurements) -> Measurements:
+def reached(found: Measurements) -> Measurements:
     """Return the rows at whose ends the order says of some joint from which side it was reached; all if none are.
 
     A tool, set-up or target that only others have is none of theirs.

@@ -9,12 +9,15 @@ import pandas as pd
 import pytest
 
 import calib
+from calib.foundations.arrays import Array
 from calib.foundations.errors import CalibError
 from calib.identification import system
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import values_at
+from calib.measurement.read import stream_of
 from calib.measurement.streams import lags
 from calib.measurement.streams.samples import joint_stream, refuse_no_stream
+from calib.measurement.streams.sides import sides
 from calib.measurement.table import table_from_arrays
 from calib.measuring import Clock, at_rest
 from tests.support import machines, streams
@@ -51,6 +54,33 @@ def test_angles_that_are_told_within_a_turn_go_on_between_samples(made: Streams)
     at = np.random.default_rng(1).uniform(1.0, 8.0, 500)
     np.testing.assert_allclose(np.diff(joints.at(at), axis=0), np.diff(made.motion.at(at), axis=0), atol=4e-8)
     np.testing.assert_allclose([one.largest for one in joints.following], 1e-3)
+
+
+def test_sides_of_approach_are_those_of_the_joints_motion_between_rows() -> None:
+    """Encoders jitter while the arm rests, and a joint turns when its own samples say so, not a row later."""
+    robot = streams.streams(3, seconds=40.0).robot
+    names = [reading.name for reading in robot.readings]
+    t, rng = np.arange(0.0, 24.0, 1.0 / 250.0), np.random.default_rng(1)
+
+    def moved(u: Array) -> Array:
+        """It rests for 5 s, swings until 20 s and rests again; it turns at 7, 11, 15 and 19 s."""
+        swings = np.sin(0.25 * np.pi * (np.clip(u, 5.0, 20.0) - 5.0))
+        return swings[:, None] * np.linspace(0.3, 0.8, len(names))
+
+    told = moved(t) + np.round(rng.normal(0.0, 2e-5, (len(t), len(names))), 5)
+    table = {"time [s]": t} | {f"{name} [rad]": told[:, k] for k, name in enumerate(names)}
+    at = np.arange(1.0, 23.0, 0.01)
+    wanted = np.select([at < 5.0, at < 7.0, at < 11.0, at < 15.0, at < 19.0], [0.0, 1.0, -1.0, 1.0, -1.0], 1.0)
+    sure = np.abs(at[:, None] - [5.0, 7.0, 11.0, 15.0, 19.0]).min(axis=1) > 0.05
+    found = sides(joint_stream(table_from_arrays(table), robot.readings, 0.1), at)
+    np.testing.assert_array_equal(found[sure], np.repeat(wanted[sure, None], len(names), axis=1))
+
+    points = robot.tips(moved(at))[:, :3, 3]
+    seen = {"time [s]": at, "x [m]": points[:, 0], "y [m]": points[:, 1], "z [m]": points[:, 2]}
+    rows = stream_of(seen, table, robot, "position", clock="given", in_order=True)
+    assert rows.times is not None
+    assert rows.unreached == len(at) - len(rows)
+    assert rows.times[0] == pytest.approx(5.0, abs=0.05)  # nothing tells from where it came before
 
 
 def test_columns_of_either_table_are_renamed_and_ignored(made: Streams, tmp_path: Path) -> None:

@@ -7,13 +7,15 @@ import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.errors import JobError, MeasurementError
+from calib.measurement.from_table import reached
 from calib.measurement.measurements import Measurements
 from calib.measurement.scalars import Scalar
 from calib.measurement.streams.joints import JointStream
 from calib.measurement.streams.lags import Lag, Moved, Seen, clock_lag, refined
 from calib.measurement.streams.samples import not_bridged, refuse_no_stream
+from calib.measurement.streams.sides import sides
 from calib.measurement.streams.stream import LATENCY, OFFSET, SKEW, Clock, OneClock, Stream
-from calib.robot.conditions import in_order, ordinary
+from calib.robot.conditions import ordinary
 from calib.robot.robot import Robot
 
 # Rows so near to the end of what the joints' stream knows, in s, are left out: the fit still moves the clock a little.
@@ -86,8 +88,12 @@ def streamed(
 
 def _in_order(rows: Measurements, ordered: bool) -> Measurements:
     """Return rows with the readings that they have at the start, and with sides of approach where asked for."""
-    rows = rows.at_clock(np.array([one.start for one in rows.scalars]))
-    return replace(rows, conditions=replace(rows.conditions, approach=in_order(rows.readings))) if ordered else rows
+    starts = np.array([one.start for one in rows.scalars])
+    rows = rows.at_clock(starts)
+    if not ordered or rows.stream is None:
+        return rows
+    came = sides(rows.stream.joints, rows.stream.times(rows.shifts(starts)))
+    return reached(replace(rows, conditions=replace(rows.conditions, approach=came)))
 
 
 def _known(data: Measurements, stream: Stream, shifts: Mapping[str, float]) -> BoolArray:
