@@ -691,6 +691,21 @@ def test_lengths_that_are_all_too_long(cell: Cell, factor: float, passed: bool) 
     assert check.passed == passed
 
 
+@pytest.mark.parametrize(("factor", "passed"), [(1.05, False), (0.97, False), (1.0, True)])
+def test_lengths_of_a_scara_that_are_all_too_long(factor: float, passed: bool) -> None:
+    """Axes that should be parallel are not quite: by metres along them everything else could take up the lengths."""
+    scara = machines.INLINE["scara"]
+    robot, drawn, rng = machines.load(scara, "tip"), machines.arm(scara, "tip"), np.random.default_rng(8)
+    longer = replace(drawn, joints=tuple(replace(j, origin=lengthened(j.origin, factor)) for j in drawn.joints))
+    made = longer.moved(rng)
+    true = machines.Machine(made, machines.anywhere(rng), {"tool": machines.pose((0.05, 0.03, 0.12))})
+    model = calib.error_model(robot, offsets="all", placements="all")
+    fit = calib.identify(model, true.measure(robot, made.draw(rng, 60), rng=rng, sigma=5e-5))
+    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    assert check.statistic == pytest.approx(abs(factor - 1.0), abs=5e-3)
+    assert check.passed == passed
+
+
 @pytest.mark.parametrize(("by", "passed"), [(0.02, True), (0.07, False)])
 def test_a_joint_that_is_far_beside_its_place_is_another_robot(cell: Cell, by: float, passed: bool) -> None:
     """Across its link, where no length of the URDF is another."""

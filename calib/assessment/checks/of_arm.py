@@ -28,6 +28,8 @@ SCALE, LINK, LINK_LENGTH, SURE, ALIKE = 0.015, 0.04, 0.025, 6.0, 0.9
 # In m, rms: a common share that moves the tool by less is how links of any arm err. Of sound arms with 0.5 mm in each
 # length it was 0.6 mm at the most; 5 % more length moved the tool of the smallest arm that was tried by 3.8 mm.
 SCALED = 2e-3
+# Scales of a parameter that may take up a common share, beside what rows say.
+PLAUSIBLE = 10.0
 # In m: a tool point from its link, the base from the instrument.
 FAR_TOOL, FAR_BASE = 1.0, 100.0
 # Warnings about the input that count.
@@ -143,13 +145,16 @@ def _common_scale(
     if share := _by_scales(R, values[:, 0] / units, [fit.parameters[k] for k in own]):
         return *share, float(np.sqrt(every)) * per_row, 1.0
     others = R[:, ~moved]
-    taken = np.linalg.lstsq(others, x, rcond=1e-9)[0]
-    left = x - others @ taken
+    held = [max(q.hold, 1.0 / PLAUSIBLE) if q.of_robot else q.hold for q in (fit.parameters[k] for k in own)]
+    hold = np.array(held)[~moved]
+    # Not by metres and radians, of which a little shows where axes that should be parallel are nearly so.
+    taken = np.linalg.lstsq(np.vstack([others, np.diag(hold)]), np.vstack([x, np.zeros((len(hold), 2))]), rcond=None)[0]
+    left = np.vstack([x - others @ taken, -hold[:, None] * taken])
     square = float(left[:, 1] @ left[:, 1])
     if square <= 1e-6 * every:
         return (NOTHING,) * 4
     apart = known[:, own][:, moved] @ longer - known[:, own][:, ~moved] @ taken
-    by_rows = square - float(apart[:, 1] @ apart[:, 1])
+    by_rows = float(np.sum(left[: len(x), 1] ** 2) - apart[:, 1] @ apart[:, 1])
     moves = float(np.sqrt(max(by_rows, 0.0))) * per_row
     moves = max(moves, float(np.abs(apart[:, 1] * sigmas).max(initial=0.0)))
     both, whole = float(left[:, 0] @ left[:, 1]), float(left[:, 0] @ left[:, 0])
