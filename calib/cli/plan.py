@@ -118,6 +118,7 @@ def plan(
             target=None if target is None else parse_within(target, RANGES["sigma"], "target"),
             progress=given.choosing(say, f"{count} of {len(found.readings)} poses"),
         )
+        notes += given.led_beyond(robot, planned.readings)
         write_new(out, given.pose_table(robot, planned.readings))
     given.tell_plan(telling, planned, found, notes, ("candidates", "poses"), out, target, more=measured is not None)
 

@@ -31,15 +31,18 @@ from calib.measurement.table import AS_WRITTEN, Columns, read_table
 from calib.presentation.command_tables import enough_sentence, forecast_sheet, index_sheet
 from calib.presentation.console import warning
 from calib.robot.collision import SelfCollision, self_collision
-from calib.robot.conditions import NO_CONDITIONS
+from calib.robot.conditions import NO_CONDITIONS, ordinary
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
+from calib.robot.sampling import limited_followers
 from calib.robot.sources import EXAMPLE, examples_folder
 from calib.robot.transmission import lacking
 
 if TYPE_CHECKING:
     from calib.presentation.console import Steps
 
+# Beyond limits by less, in rad or m, is rounding.
+_SLACK = 1e-9
 _NUMBER = re.compile(r"[+-]?[0-9]+", re.ASCII)
 
 
@@ -111,6 +114,25 @@ def without_room(robot: Robot) -> list[str]:
     return [
         f"{robot.urdf.where}: limits leave no room to {listed(held)}: no pose moves them, and a calibration says that "
         "it cannot be trusted. A <limit> without lower and upper is from 0 to 0."
+    ]
+
+
+def led_beyond(robot: Robot, readings: Array) -> list[str]:
+    """Return what is to be said of joints that follow others, beyond their own limits at readings (N, nr)."""
+    beyond = {
+        joint.name: (q < (-np.inf if joint.lower is None else joint.lower) - _SLACK)
+        | (q > (np.inf if joint.upper is None else joint.upper) + _SLACK)
+        for (k, joint) in limited_followers(robot)
+        for q in [robot.joint_positions(readings, conditions=ordinary(readings))[:, k]]
+    }
+    rows = np.any([*beyond.values(), np.zeros(len(readings), dtype=bool)], axis=0)
+    if not rows.any():
+        return []
+    names = [name for name, own in beyond.items() if own.any()]
+    return [
+        f"{listed(names)}: beyond the limits in the URDF in {np.count_nonzero(rows)} of {len(rows)} poses; limits of "
+        "what follows other joints are often written without care. If these are right, narrow those of the joints that "
+        "are followed, or give --candidates."
     ]
 
 

@@ -22,6 +22,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.residual_model import ResidualModel
 from calib.robot.conditions import Conditions
 from calib.robot.robot import Reading, TipModel
+from calib.robot.sampling import limited_followers
 from calib.robot.terms import kind_of
 
 _MOST_STEPS = 60
@@ -364,18 +365,11 @@ def _beyond(row: Array, readings: Sequence[Reading]) -> str:
 
 
 def _led_beyond(model: CalibratedMachine, q: Array, conditions: Conditions) -> list[str]:
-    """Return which joint that has no reading, and follows others, is beyond its limits at readings (n, nr), or "".
-
-    Such limits are often written without care, so that this is a remark.
-    """
+    """Return which joint that has no reading, and follows others, is beyond its limits at readings (n, nr), or ""."""
     robot, said = model.robot, [""] * len(q)
-    known = {reading.name for reading in robot.readings}
-    joints = [robot.urdf.joint(robot.chain[i].name) for i in robot.moving]
-    # A <limit> of efforts alone is 0 to 0.
-    led = [k for k, joint in enumerate(joints) if joint.name not in known and joint.lower != joint.upper]
+    led = limited_followers(robot)
     positions = robot.joint_positions(q, model.deviations, conditions) if led and len(q) else np.zeros((len(q), 0))
-    for k in led if positions.size else ():
-        joint = joints[k]
+    for k, joint in led if positions.size else ():
         follower = [Reading(joint.name, "length" if joint.type == "prismatic" else "angle", joint.lower, joint.upper)]
         for n in map(int, np.flatnonzero(_outside(positions[:, [k]], *limits(follower))[:, 0])):
             said[n] = said[n] or f"{_beyond(positions[n, [k]], follower)}; it follows others"

@@ -10,6 +10,7 @@ from calib.foundations.errors import RobotError
 from calib.foundations.ranges import are_numbers
 from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations, Robot, TipModel
+from calib.robot.urdf import UrdfJoint
 
 # What a person waits for, and a memory holds.
 # Hardly any pose: fewer than one in so many, when so many were tried.
@@ -32,6 +33,17 @@ def joint_limits(robot: Robot) -> Array:
             for reading in robot.readings
         ]
     )
+
+
+def limited_followers(robot: Robot) -> list[tuple[int, UrdfJoint]]:
+    """Return the joints without a reading that have a range in the URDF, with their columns of joint positions.
+
+    Such limits are often written without care, so that what is beyond them is worth a remark and no more.
+    """
+    known = {reading.name for reading in robot.readings}
+    joints = enumerate(robot.urdf.joint(robot.chain[i].name) for i in robot.moving)
+    # A <limit> of efforts alone is 0 to 0.
+    return [(k, joint) for k, joint in joints if joint.name not in known and joint.lower != joint.upper]
 
 
 def closing(robot: Robot, readings: Array, machines: Sequence[Deviations | None] = (None,)) -> BoolArray:

@@ -165,6 +165,35 @@ def test_plan_of_a_urdf_with_sight_and_collisions(tmp_path: Path, monkeypatch: p
     assert (again.code, again.err) == (1, "Error: poses.csv: already exists; choose another name.\n")
 
 
+@pytest.mark.parametrize(("limit", "beyond"), [('lower="-0.5" upper="0.5"', True), ('lower="-9" upper="9"', False)])
+def test_plan_tells_which_joints_that_follow_others_it_takes_beyond_their_limits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, *, beyond: bool
+) -> None:
+    """Compensation remarks on the same limits; the poses of a plan are where an arm is told to go, too."""
+    monkeypatch.chdir(tmp_path)
+    sized = 'effort="1" velocity="1"'
+    joints = [
+        f'<joint name="{name}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/><origin xyz="0.3 0 0.1"/>'
+        f'<axis xyz="{axis}"/><limit {own} {sized}/>{mimic}</joint>'
+        for k, (name, axis, own, mimic) in enumerate(
+            [
+                ("a", "0 0 1", 'lower="-1" upper="1"', ""),
+                ("b", "0 1 0", 'lower="-1" upper="1"', ""),
+                ("c", "0 1 0", limit, '<mimic joint="b" multiplier="-2" offset="0.1"/>'),
+                ("d", "1 0 0", 'lower="-1" upper="1"', ""),
+            ]
+        )
+    ]
+    links = [f'<link name="l{k}"/>' for k in range(5)]
+    Path("arm.urdf").write_text(f'<robot name="r">{"".join(links + joints)}</robot>', encoding="utf-8")
+    said = run("plan", "arm.urdf", "-n", "15", "-o", "poses.csv", "--candidates", "100")
+    text = " ".join((said.out + said.err).split())
+    assert said.code == 0
+    rows = np.deg2rad(np.loadtxt("poses.csv", delimiter=",", skiprows=1))
+    over = int(np.count_nonzero(np.abs(0.1 - 2.0 * rows[:, 1]) > 0.5))
+    assert (f"'c': beyond the limits in the URDF in {over} of 15 poses" in text) is beyond
+
+
 @pytest.mark.parametrize(
     ("typed", "said"),
     [
