@@ -438,9 +438,15 @@ def strains(parts: Sequence[Stretch], C: Array) -> tuple[Strain, ...]:
 
 
 def per_metre(parts: Sequence[Stretch]) -> float:
-    """Return by how much the whitened numbers of a row (rms of their norms) follow a metre by which the base moves."""
-    squares = sum(float(np.sum(part.by_base[:, :, :3] ** 2)) / 3.0 for part in parts)
-    return max(float(np.sqrt(squares / sum(len(part.r) for part in parts))), 1e-12)
+    """Return by how much the whitened numbers of a row (rms of their norms) follow a metre by which base or tool move.
+
+    Of the two that which shows more: where only the way from one pose to another is measured, the base shows nothing.
+    """
+    squares = [
+        sum(float(np.sum(by[:, :, :3] ** 2)) / 3.0 for by in every)
+        for every in ([part.by_base for part in parts], [part.by_tool for part in parts])
+    ]
+    return max(float(np.sqrt(max(squares) / sum(len(part.r) for part in parts))), 1e-12)
 
 
 def _scatter(rest: Array, part: Stretch, taken: int = 0) -> float:

@@ -36,7 +36,7 @@ from calib.measurement.checks import Finding
 from calib.robot.deviation import axis_frame
 from tests.support import cameras, machines
 from tests.support.gears import geared
-from tests.support.touching import NORMALS, between, lab
+from tests.support.touching import NORMALS, UR10, between, lab
 
 Array = np.ndarray
 UR5 = ("example:ur_description/urdf/ur5_robot.urdf", "tool0")
@@ -772,6 +772,17 @@ def test_a_share_of_lengths_that_hardly_move_the_tool_is_no_other_robot() -> Non
         assert check.passed
         seen.append(check.sentence)
     assert "Little tells whether all links are longer than in the URDF." in seen
+
+
+@pytest.mark.parametrize(("arm", "factor"), [("gantry", 1.0), ("ur10", 1.0), ("ur10", 1.03)])
+def test_of_distances_between_two_poses_a_share_of_lengths_is_judged_by_the_tool(arm: str, factor: float) -> None:
+    """They show nothing of the base, so that a share of a fraction of a millimetre seemed to be many metres."""
+    made = lab(noise=5e-5, arm=UR10 if arm == "ur10" else (machines.INLINE[arm], "tip"))
+    data = made.pairs(100)
+    model = calib.error_model(made.robot, offsets="all", placements="all", base="fixed")
+    fit = calib.identify(model, replace(data, value=factor * data.value))
+    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    assert check.passed == (factor == 1.0)
 
 
 def test_lengths_that_nothing_tells_are_said_in_words(
