@@ -97,7 +97,8 @@ def private_folder(path: Path | None) -> Iterator[Path]:
     """Give an empty folder that this user alone can enter; without a ``path`` it goes when the block ends.
 
     A folder that such a page has left is given as it is. Raises OutputError where ``path`` is there and none of these,
-    or another page is served from it; without one, where the system has no place for temporary files.
+    belongs to another user, or another page is served from it; without one, where the system has no place for
+    temporary files.
     """
     if path is None:
         with contextlib.ExitStack() as removed:
@@ -111,6 +112,9 @@ def private_folder(path: Path | None) -> Iterator[Path]:
         if os.path.lexists(path) and (path.is_symlink() or not path.is_dir() or not (_left(path) or _empty(path))):
             raise OutputError(f"{path}: already exists, and is neither empty nor left by this page; choose another.")
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        # Whoever owns a folder enters it, and root may serve a page from anybody's.
+        if path.stat().st_uid != os.getuid():
+            raise OutputError(f"{path}: belongs to another user, who could enter it; choose another.")
         path.chmod(0o700)
     with _alone_in(path):
         yield path.absolute()

@@ -377,3 +377,12 @@ def test_a_full_disk_is_said_when_robot_and_meshes_are_put_together(
     monkeypatch.setattr(shutil, "copyfile", full)
     with pytest.raises(OutputError, match=r"cannot be written \(No space left on device\)"):
         gather(tmp_path, "arm.urdf", ["package://m/a.stl"], ["m/a.stl"])
+
+
+def test_an_empty_folder_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Root may write into it, and its owner could enter it; it stays as it was."""
+    tmp_path.chmod(0o755)
+    monkeypatch.setattr(os, "getuid", lambda: tmp_path.stat().st_uid + 1)
+    with pytest.raises(OutputError, match="belongs to another user"), private_folder(tmp_path):
+        pass
+    assert (stat.S_IMODE(tmp_path.stat().st_mode), list(tmp_path.iterdir())) == (0o755, [])
