@@ -294,6 +294,13 @@ def test_the_same_table_twice_is_refused(folder: Path) -> None:
         assert said.err.rstrip().endswith("; leave out the copies."), said.err
 
 
+def test_assumed_errors_are_a_file_of_any_name(folder: Path) -> None:
+    """What is said of one that is no table of them is said of the file, not of a model.json below it."""
+    (folder / "errors.txt").write_text("parameter;error\n")
+    said = run("sensitivity", JOB, "--errors", "errors.txt", "-q")
+    assert (said.code, said.err.startswith("Error: errors.txt: begins with the columns")) == (1, True), said.err
+
+
 def test_errors_of_another_machine_are_refused(folder: Path) -> None:
     """Joints of the same names are not enough; nor is it this job when the URDF was changed after the calibration."""
     assert run("calibrate", JOB, "-o", "out", "-q").code in (0, 3)

@@ -85,7 +85,8 @@ def _study(model: "ErrorModel", readings: "Array", errors: Path) -> "GroupStudy"
 
 
 def _assumed(errors: Path) -> bool:
-    return errors.suffix.lower() == ".csv"
+    """Return whether assumed errors are given: a file, whatever its name; results are a folder."""
+    return errors.suffix.lower() == ".csv" or errors.is_file()
 
 
 def _draw(found: "Sensitivity", plot: Path) -> None:
