@@ -18,6 +18,7 @@ from calib.job.schema import Job, MeasurementsSection
 from calib.job.tables import model_sigmas
 from calib.machine.grid import joint_numbers
 from calib.measurement.checks import Finding
+from calib.measurement.conditions import refuse_lacking
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.robot.joint_terms import weighed_at_zero
@@ -116,12 +117,18 @@ def with_positions(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
     return tuple(data for data in sets if data.position is not None)
 
 
-def refuse_open_loops(robot: Robot, sets: Sequence[Measurements]) -> None:
-    """Raise JobError for a row at which a closed loop of the robot cannot be closed."""
-    for data in sets if robot.loops else ():
+def refuse_unusable_rows(robot: Robot, model: ErrorModel, sets: Sequence[Measurements]) -> None:
+    """Refuse rows of any use, also those that only judge, at which the machine of a job cannot be evaluated.
+
+    Raises JobError where a closed loop of the robot cannot be closed, MeasurementError where a table has no column that
+    a joint term needs.
+    """
+    for data in sets:
         for end in data.ends:
-            with naming_rows(data.where, data.lines):
-                robot.joint_positions(end.readings)
+            refuse_lacking(model.robot, end.conditions, data.where)
+            if robot.loops:
+                with naming_rows(data.where, data.lines):
+                    robot.joint_positions(end.readings)
 
 
 def refuse_unknown_names(job: Job, sets: Sequence[Measurements], path: Path) -> None:

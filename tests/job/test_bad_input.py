@@ -33,6 +33,7 @@ FIXED_TOOL = ('tool = "position"', 'tool = "fixed"')
 SINGLE = 'schema = 1\n[robot]\nurdf = "arm_cmm.urdf"\n[measurements]\nfile = "identification.csv"\n'
 FIRST = next(line for line in (CASE / TABLE).read_text(encoding="utf-8").splitlines() if line[0] in "-0123456789")
 FIRST_NUMBER = FIRST.split(",")[0]
+QUATERNION = "qw, qx, qy, qz"
 
 
 def test_a_key_that_belongs_at_the_top_and_in_sections(folder: Path) -> None:
@@ -55,14 +56,14 @@ def together(*edits: Edit) -> Edit:
     return apply
 
 
-def with_quaternion(cells: str) -> Edit:
-    """Return an edit that adds an orientation to every row of the table."""
+def with_columns(names: str, cells: str) -> Edit:
+    """Return an edit that adds cells to every row of the table."""
 
     def apply(folder: Path) -> None:
         lines = (folder / TABLE).read_text(encoding="utf-8").splitlines()
         rows = [line if line.startswith("#") else f"{line}, {cells}" for line in lines]
         header = next(i for i, line in enumerate(lines) if not line.startswith("#"))
-        rows[header] = lines[header] + ", qw, qx, qy, qz"
+        rows[header] = f"{lines[header]}, {names}"
         (folder / TABLE).write_text("\n".join(rows) + "\n", encoding="utf-8")
 
     return apply
@@ -73,7 +74,9 @@ CASES: dict[str, Edit] = {
     "unit unknown": edit(TABLE, ("x [mm]", "x [furlong]")),
     "unit of another dimension": edit(TABLE, ("x [mm]", "x [deg]")),
     "unknown joint column": edit(TABLE, ("joint_2 [deg]", "joint_7 [deg]")),
-    "quaternion norm": together(job(('observes = "position"', 'observes = "pose"')), with_quaternion("2, 0, 0, 0")),
+    "quaternion norm": together(
+        job(('observes = "position"', 'observes = "pose"')), with_columns(QUATERNION, "2, 0, 0, 0")
+    ),
     "NaN": edit(TABLE, (FIRST_NUMBER, "nan")),
     "word for a number": edit(TABLE, (FIRST_NUMBER, "12.5x")),
     "degrees as radians": edit(TABLE, ("[deg]", "[rad]"), everywhere=True),
@@ -146,6 +149,9 @@ CASES: dict[str, Edit] = {
     "bending of no link": job(('base = "pose"', 'base = "pose"\nbending = ["joint_1"]')),
     "expansion of a word": job(('base = "pose"', 'base = "pose"\nexpansion = "links"')),
     "expansion without temperature": job(('base = "pose"', 'base = "pose"\nexpansion = "arm"')),
+    "expansion without temperature of held-out rows": together(
+        job(('base = "pose"', 'base = "pose"\nexpansion = "arm"')), with_columns("temperature [degC]", "21.5")
+    ),
     "expansion in a DH table": job(('placements = "all"', 'dh = "all"\nexpansion = "arm"')),
     "moments of what lifts nothing": job(('base = "pose"', 'base = "pose"\nmoments = ["joint_1"]')),
     "wind-up without masses": job(('base = "pose"', 'base = "pose"\nelastic = "all"')),

@@ -27,12 +27,12 @@ from calib.identification.rows import frame_numbers
 from calib.identification.set_ups import SetUp
 from calib.identification.solver import solve
 from calib.identification.system import Problem
+from calib.measurement.conditions import refuse_lacking
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
 from calib.measurement.measurements import ONLY_SETUP, Measurements
 from calib.robot.conditions import joined
 from calib.robot.terms import kind_of
 from calib.robot.torques import expected_torques
-from calib.robot.transmission import lacking
 
 
 def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> Problem:
@@ -109,8 +109,7 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
                 f"{data.where}: the readings {data.reading_names} are not those of the robot, {names}."
             )
         for end in data.ends:
-            if missing := lacking(model.robot.terms, names, end.conditions):
-                raise MeasurementError(f"{data.where}: there is no column {missing[1]!r}, which {missing[0]} needs.")
+            refuse_lacking(model.robot, end.conditions, data.where)
     sets = [replace(data.loaded(model.urdf_robot), tip=data.tip or model.robot.tip) for data in sets]
     _refuse_unfollowed_payloads(model, sets)
     links = _common_links(sets)
