@@ -156,25 +156,33 @@ def _taken_up(J: Array, C: Array) -> float:
 def by_photograph(part: Stretch) -> Stretch:
     """Return six numbers of every photograph in place of its rows, where these err together: what they have in common.
 
-    Whatever differs from photograph to photograph is in these; the rest of the rows would only dilute it.
+    Whatever differs from photograph to photograph is in these; the rest of the rows would only dilute it. In the order
+    of the rows.
     """
     together = part.together
     if together is None:
         return part
-    _, first = np.unique(together.number, return_index=True)
+    number, last = together.number, len(together.number) - 1
+    _, first = np.unique(number, return_index=True)
+    order = np.argsort(first)
+    first, ends = first[order], last - np.unique(number[::-1], return_index=True)[1][order]
+
+    def common(whitened: Array) -> Array:
+        return np.asarray(together.by_photograph(whitened)[order])
+
     return replace(
         part,
-        r=together.by_photograph(part.r[:, :, None])[:, :, 0],
-        J=together.by_photograph(part.J),
-        by_joint=together.by_photograph(part.by_joint),
-        by_follower=together.by_photograph(part.by_follower),
-        by_base=together.by_photograph(part.by_base),
-        by_tool=together.by_photograph(part.by_tool),
-        by_growth=together.by_photograph(part.by_growth[:, :, None])[:, :, 0],
+        r=common(part.r[:, :, None])[:, :, 0],
+        J=common(part.J),
+        by_joint=common(part.by_joint),
+        by_follower=common(part.by_follower),
+        by_base=common(part.by_base),
+        by_tool=common(part.by_tool),
+        by_growth=common(part.by_growth[:, :, None])[:, :, 0],
         values=part.values[first],
         followed=part.followed[first],
         rates=part.rates[first],
-        row=part.row[first],
+        row=part.row[ends],
         pose=np.arange(len(first)),
         together=None,
     )

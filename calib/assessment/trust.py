@@ -33,7 +33,7 @@ from calib.assessment.mixed_machines import mixed_machines
 from calib.assessment.outliers import Outliers, outliers
 from calib.assessment.own_base import OwnBase, tables_with_own_base
 from calib.assessment.places import unshown
-from calib.assessment.stretches import pose_by_pose, stretches
+from calib.assessment.stretches import by_photograph, pose_by_pose, stretches
 from calib.foundations.chance import exceeded
 from calib.foundations.linear import one_thread
 from calib.foundations.words import listed, noun
@@ -90,7 +90,8 @@ def verdict(
         C = residue.C
         poses = tuple(pose_by_pose(part, C) for part in parts)
         by_row = (
-            of_rows.jump(steps(poses, C), found),
+            # Of photographs that err together a change is a part of how they do, and hardly shows mark by mark.
+            of_rows.jump(steps([by_photograph(part) if part.together else part for part in poses], C), found),
             of_rows.drift(drifts(poses, C), fit),
             of_rows.late(*delay(poses, C)),
             of_rows.timing(timing(poses, C)),

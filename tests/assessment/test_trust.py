@@ -677,6 +677,27 @@ def test_what_is_measured_at_one_pose_in_other_ways_is_no_repetition(cell: Cell)
     assert "again" not in of_fit.redundancy(calib.identify(cell.model, other)).sentence
 
 
+# ---- photographs
+
+
+@pytest.mark.parametrize("moved", [0.0, 0.004])
+def test_a_board_that_moved_between_photographs_is_told(moved: float) -> None:
+    """Photographs that err together have the change in how they err, beside which it hardly shows mark by mark."""
+    rng = np.random.default_rng(0)
+    robot = machines.load(cameras.UR5, cameras.TIP)
+    true = cameras.scene(rng, machines.arm(cameras.UR5, cameras.TIP).moved(rng), "tip", sigma=0.1)
+    later = replace(true, target=true.target @ machines.pose((moved, 0.5 * moved, 0.0), (0.0, 0.0, moved)))
+    q = true.draw(rng, 40)
+    first, then = (scene.measure(robot, q, rng, 0.1) for scene in (true, later))
+    seen = replace(first, value=np.where(np.arange(len(first))[:, None] < 400, first.value, then.value))
+    model = calib.error_model(robot, offsets="all", placements="all", base="fixed", tool="pose")
+    found = calib.assess(calib.identify(model, seen), []).accepting(["lens"])
+    (jump,) = (check for check in found.checks if check.name == "jump")
+    assert jump.passed == (moved == 0.0)
+    assert found.trusted == jump.passed
+    assert jump.sentence.startswith("arrays:399: after this row the base seems to have changed") == (moved > 0.0)
+
+
 # ---- what is plausible
 
 
