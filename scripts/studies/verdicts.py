@@ -57,7 +57,8 @@ Checks were made for sessions that had been trusted:
 * its search for three and four machines, "axes" and "resolution", after the ten that followed;
 * "timing", after those of streams;
 * "at rest", after [a real arm](irb120.md) that was read while it braked;
-* "drift" of joints, of the tool and of the arm's length, after an arm that warmed up was trusted.
+* "drift" of joints, of the tool and of the arm's length, after an arm that warmed up was trusted;
+* "jump" of photographs, by what each has in common, after a board that had moved was trusted.
 
 The limits of size of "axes", of "resolution" and of the search for more machines were chosen by judgement; no sound
 session and no poor arm reaches them.
