@@ -127,8 +127,8 @@ def _as_poses(part: Stretch) -> Stretch:
     for told, quantity in itertools.product(part.repeats, QUANTITIES[part.data.kind]):
         if told.quantity == quantity.name:
             share[:, quantity.columns, 0] = 1.0 / np.hypot(1.0, np.sqrt(many) * told.common / told.alone)[:, None]
-    r, J, by_joint, by_base = own.r * share[:, :, 0], own.J * share, own.by_joint * share, own.by_base * share
-    return replace(own, r=r, J=J, by_joint=by_joint, by_base=by_base)
+    moved = {name: getattr(own, name) * share for name in ("J", "by_joint", "by_base", "by_tool")}
+    return replace(own, r=own.r * share[:, :, 0], **moved)
 
 
 def _within_poses(parts: Sequence[Stretch]) -> "_Search":

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from calib.cli.application import IN_WORDS, PREPARE, Telling, command
 from calib.cli.options import JobFile, option, written
+from calib.foundations.files import is_there
 from calib_start import loading
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def _study(model: "ErrorModel", readings: "Array", errors: Path) -> "GroupStudy"
 
 def _assumed(errors: Path) -> bool:
     """Return whether assumed errors are given: a file, whatever its name; results are a folder."""
-    return errors.suffix.lower() == ".csv" or errors.is_file()
+    return errors.suffix.lower() == ".csv" or is_there(errors, Path.is_file)
 
 
 def _draw(found: "Sensitivity", plot: Path) -> None:
