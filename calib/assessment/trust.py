@@ -91,7 +91,7 @@ def verdict(
         poses = tuple(pose_by_pose(part, C) for part in parts)
         by_row = (
             # Of photographs that err together a change is a part of how they do, and hardly shows mark by mark.
-            of_rows.jump(steps([by_photograph(part) if part.together else part for part in poses], C), found),
+            of_rows.jump(steps([by_photograph(part) for part in poses], C), found),
             of_rows.drift(drifts(poses, C), fit),
             of_rows.late(*delay(poses, C)),
             of_rows.timing(timing(poses, C)),

@@ -34,15 +34,13 @@ from calib.robot.collision import SelfCollision, self_collision
 from calib.robot.conditions import NO_CONDITIONS, ordinary
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
-from calib.robot.sampling import limited_followers
+from calib.robot.sampling import limited_followers, limits, outside
 from calib.robot.sources import EXAMPLE, examples_folder
 from calib.robot.transmission import lacking
 
 if TYPE_CHECKING:
     from calib.presentation.console import Steps
 
-# Beyond limits by less, in rad or m, is rounding.
-_SLACK = 1e-9
 _NUMBER = re.compile(r"[+-]?[0-9]+", re.ASCII)
 
 
@@ -119,18 +117,18 @@ def without_room(robot: Robot) -> list[str]:
 
 def led_beyond(robot: Robot, readings: Array) -> list[str]:
     """Return what is to be said of joints that follow others, beyond their own limits at readings (N, nr)."""
-    beyond = {
-        joint.name: (q < (-np.inf if joint.lower is None else joint.lower) - _SLACK)
-        | (q > (np.inf if joint.upper is None else joint.upper) + _SLACK)
-        for (k, joint) in limited_followers(robot)
-        for q in [robot.joint_positions(readings, conditions=ordinary(readings))[:, k]]
-    }
-    rows = np.any([*beyond.values(), np.zeros(len(readings), dtype=bool)], axis=0)
-    if not rows.any():
+    led = limited_followers(robot)
+    if not led:
         return []
-    names = [name for name, own in beyond.items() if own.any()]
+    columns, joints = [k for k, _ in led], [joint for _, joint in led]
+    q = robot.joint_positions(readings, conditions=ordinary(readings))[:, columns]
+    beyond = outside(q, *limits(joints))
+    if not beyond.any():
+        return []
+    names = [joint.name for joint, own in zip(joints, beyond.T, strict=True) if own.any()]
+    many = np.count_nonzero(beyond.any(axis=1))
     return [
-        f"{listed(names)}: beyond the limits in the URDF in {np.count_nonzero(rows)} of {len(rows)} poses; limits of "
+        f"{listed(names)}: beyond the limits in the URDF in {many} of {len(readings)} poses; limits of "
         "what follows other joints are often written without care. If these are right, narrow those of the joints that "
         "are followed, or give --candidates."
     ]

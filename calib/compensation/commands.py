@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 
 from calib.compensation.corrections import Corrections, better
-from calib.compensation.inverse import Asked, Effort, How, cut_short, limits, price, rowwise, solve
+from calib.compensation.inverse import Asked, Effort, How, cut_short, price, rowwise, solve
 from calib.compensation.order import by_order, with_sides
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
@@ -19,6 +19,7 @@ from calib.foundations.words import not_calibrated
 from calib.machine.calibrated import CalibratedMachine, refuse_unfollowed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import TipModel
+from calib.robot.sampling import limits
 from calib.robot.transmission import lacking
 
 # A reading that changes by more (rad or m) than any calibration error asks is worth a remark.

@@ -22,7 +22,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.residual_model import ResidualModel
 from calib.robot.conditions import Conditions
 from calib.robot.robot import Reading, TipModel
-from calib.robot.sampling import limited_followers
+from calib.robot.sampling import limited_followers, limits, outside
 from calib.robot.terms import kind_of
 
 _MOST_STEPS = 60
@@ -56,8 +56,6 @@ _LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
 _NOTHING = 1e-12
 # Below this smallest singular value, in m or rad at the tip per rad or m, a machine is called singular.
 _SINGULAR = 1e-2
-# Limits are written in degrees with few digits; this is what rounding takes.
-_LIMIT_SLACK = 1e-9
 # Far above what anybody would call reached, in m or rad.
 _LARGEST_TOLERANCE = 10.0
 # Null motion left, in rad or m, where a redundant arm is as near to its start as it gets.
@@ -154,13 +152,6 @@ def price(model: CalibratedMachine, residuals: ResidualModel | None) -> float:
     giving = len(robot.terms) / _TERMS_OF_ONE + len(robot.flexures.every) / _FLEXURES_OF_ONE + weighed / _WEIGHED_OF_ONE
     more = max(len(robot.readings) - _READINGS, 0) / _READINGS_OF_ONE
     return 1.0 + _OF_A_LOOP * len(robot.loops) + rows / _ROWS_OF_ONE + giving + more**2
-
-
-def limits(readings: Sequence[Reading]) -> tuple[Array, Array]:
-    """Return the least and the greatest value (nr) of readings, infinite where a joint has no limit."""
-    low = [-np.inf if reading.lower is None else reading.lower for reading in readings]
-    high = [np.inf if reading.upper is None else reading.upper for reading in readings]
-    return np.array(low), np.array(high)
 
 
 # ---- the machine as the solver sees it
@@ -291,7 +282,7 @@ def _solve_block(model: CalibratedMachine, asked: Asked, how: How, effort: Effor
     machine = _Machine(model, asked, how, effort)
     low, high = limits(readings)
     why = list(asked.refused)
-    for n in map(int, np.flatnonzero(_outside(start, low, high).any(axis=1))):
+    for n in map(int, np.flatnonzero(outside(start, low, high).any(axis=1))):
         why[n] = why[n] or _beyond(start[n], readings)
     tried = np.flatnonzero([not text for text in why])
     q, steps, free = start.copy(), np.zeros(len(start), dtype=np.intp), np.ones(start.shape)
@@ -300,7 +291,7 @@ def _solve_block(model: CalibratedMachine, asked: Asked, how: How, effort: Effor
     for _ in range(1 + max(0, len(readings) - machine.size)):
         q[rows], taken, hit = _newton(machine, rows, q[rows], start[rows], free[rows], tolerances[0])
         steps[rows] += taken
-        beyond = _outside(q[rows], low, high)
+        beyond = outside(q[rows], low, high)
         passed |= {int(n): _beyond(q[n], readings) for n in rows[beyond.any(axis=1) & hit] if n not in passed}
         again = beyond.any(axis=1) & ((free[rows] - beyond).sum(axis=1) >= machine.size)
         rows, beyond = rows[again], beyond[again]
@@ -310,13 +301,13 @@ def _solve_block(model: CalibratedMachine, asked: Asked, how: How, effort: Effor
         q[rows] = np.where(free[rows] > 0.0, start[rows], np.clip(q[rows], low, high))
     allowed = np.clip(q, low, high)
     # A clipped reading may take the tool farther from the target than it was where the search began.
-    clipped = tried[_outside(q[tried], low, high).any(axis=1)]
+    clipped = tried[outside(q[tried], low, high).any(axis=1)]
     no_nearer = machine.look(clipped, start[clipped]).cost < machine.look(clipped, allowed[clipped]).cost
     allowed[clipped[no_nearer]] = start[clipped[no_nearer]]
     seen = machine.look(np.arange(len(q)), allowed)
     position, angle = machine.errors(seen.gap)
     near = (position <= tolerances[0]) & ~(angle > tolerances[1])
-    missed = ~near | _outside(q, low, high).any(axis=1) | np.array([bool(text) for text in seen.why], dtype=np.bool_)
+    missed = ~near | outside(q, low, high).any(axis=1) | np.array([bool(text) for text in seen.why], dtype=np.bool_)
     short = _CUT_SHORT if effort.spent else ""
     lost = tried[missed[tried]]
     least = _least(seen.slope[lost])
@@ -348,18 +339,13 @@ def _solve_block(model: CalibratedMachine, asked: Asked, how: How, effort: Effor
     return Corrections(q, change, reached, position, angle, tuple(why), steps)
 
 
-def _outside(q: Array, low: Array, high: Array) -> BoolArray:
-    """Return which readings (n, nr) are beyond their limits."""
-    return np.asarray((q < low - _LIMIT_SLACK) | (q > high + _LIMIT_SLACK))
-
-
 def _beyond(row: Array, readings: Sequence[Reading]) -> str:
     for value, reading in zip(row, readings, strict=True):
-        low, high = (limits[0] for limits in limits([reading]))
-        if not low - _LIMIT_SLACK <= value <= high + _LIMIT_SLACK:
+        low, high = limits([reading])
+        if outside(np.array([value]), low, high)[0]:
             return (
                 f"{reading.name} at {_said(value, reading)} is beyond its limits, "
-                f"{_said(low, reading)} and {_said(high, reading)}"
+                f"{_said(low[0], reading)} and {_said(high[0], reading)}"
             )
     return ""
 
@@ -371,7 +357,7 @@ def _led_beyond(model: CalibratedMachine, q: Array, conditions: Conditions) -> l
     positions = robot.joint_positions(q, model.deviations, conditions) if led and len(q) else np.zeros((len(q), 0))
     for k, joint in led if positions.size else ():
         follower = [Reading(joint.name, "length" if joint.type == "prismatic" else "angle", joint.lower, joint.upper)]
-        for n in map(int, np.flatnonzero(_outside(positions[:, [k]], *limits(follower))[:, 0])):
+        for n in map(int, np.flatnonzero(outside(positions[:, [k]], *limits(follower))[:, 0])):
             said[n] = said[n] or f"{_beyond(positions[n, [k]], follower)}; it follows others"
     return said
 

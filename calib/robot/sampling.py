@@ -9,7 +9,7 @@ from calib.foundations.choices import MOST_POSES
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import are_numbers
 from calib.robot.conditions import ordinary
-from calib.robot.robot import Deviations, Robot, TipModel
+from calib.robot.robot import Deviations, Reading, Robot, TipModel
 from calib.robot.urdf import UrdfJoint
 
 # What a person waits for, and a memory holds.
@@ -19,6 +19,8 @@ _ENOUGH = 1000
 # Machines that differ by their errors differ in the determinant of closure as well; where joints
 # stood still, all rows have the least one.
 _SLACK = 0.9
+# Limits are written in degrees with few digits; this is what rounding takes.
+_LIMIT_SLACK = 1e-9
 
 
 def joint_limits(robot: Robot) -> Array:
@@ -33,6 +35,18 @@ def joint_limits(robot: Robot) -> Array:
             for reading in robot.readings
         ]
     )
+
+
+def limits(of: Sequence[Reading | UrdfJoint]) -> tuple[Array, Array]:
+    """Return the least and the greatest value (n,) of readings or joints, infinite where one has no limit."""
+    low = [-np.inf if one.lower is None else one.lower for one in of]
+    high = [np.inf if one.upper is None else one.upper for one in of]
+    return np.array(low), np.array(high)
+
+
+def outside(q: Array, low: Array, high: Array) -> BoolArray:
+    """Return which positions (..., n) are beyond their limits (n,)."""
+    return np.asarray((q < low - _LIMIT_SLACK) | (q > high + _LIMIT_SLACK))
 
 
 def limited_followers(robot: Robot) -> list[tuple[int, UrdfJoint]]:

@@ -811,7 +811,7 @@ def test_lengths_that_shrink_where_touches_hardly_tell_the_size_are_doubted(arm:
     shrinks = arm == "scara" and not known
     assert (made.miss(fit, sized=False) > 5e-3) == shrinks
     assert check.passed != shrinks
-    assert ("and the touches hardly tell it: one known length would." in check.sentence) == shrinks
+    assert ("and the measurements hardly tell it: one known length would." in check.sentence) == shrinks
 
 
 @pytest.mark.parametrize(("arm", "factor"), [("gantry", 1.0), ("ur10", 1.0), ("ur10", 1.03)])

@@ -115,15 +115,17 @@ def _most_wrong(fit: Fit, of_joint: Mapping[int, Sequence[int]]) -> tuple[float,
     moving = motions(fit.measurements, fit.model.targets, fit.model.relations, fit.machine.frames.base[:3, 3])
     sized = moving is None or not moving.grows
     worst, link = 0.0, ""
-    for k, lengths in sorted(of_joint.items()):
+    for k, free in sorted(of_joint.items()):
         T, own = np.asarray(fit.robot.chain[k].placement), fit.deviations.placements[k, :3]
         length = float(np.linalg.norm(T[:3, 3]))
         by = float(T[:3, 3] @ T[:3, :3] @ own) / length if length > 0.0 else float(np.linalg.norm(own))
         beside = float(np.sqrt(max(float(own @ own) - by**2, 0.0)))
         name = repr(fit.robot.chain[k].name)
-        told = sized or not fit.unidentifiable[list(lengths)].all()
-        width = max(fit.parameters[p].scale / fit.parameters[p].hold for p in lengths)
-        why = "is it the URDF of this robot?" if told else "and the touches hardly tell it: one known length would."
+        told = sized or not fit.unidentifiable[list(free)].all()
+        width = max(fit.parameters[p].scale / fit.parameters[p].hold for p in free)
+        why = (
+            "is it the URDF of this robot?" if told else "and the measurements hardly tell it: one known length would."
+        )
         for off, of, said in (
             (abs(by), length, f"The distance to joint {name} differs by {by / MM:+.0f} mm from the URDF"),
             (beside, fit.robot.reach, f"Joint {name} is {beside / MM:.0f} mm beside its place in the URDF"),
