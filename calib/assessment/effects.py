@@ -93,8 +93,11 @@ class Step:
 NO_EFFECT = Effect(float("nan"), float("nan"), float("nan"))
 
 
-def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> Effect:
-    """Return how large an effect is that would change the whitened numbers of every part by ``directions`` (n, d)."""
+def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array, widths: Array | None = None) -> Effect:
+    """Return how large an effect is that would change the whitened numbers of every part by ``directions`` (n, d).
+
+    ``widths``: how far parameters may go with it, as :func:`score_test` has them.
+    """
     if not parts:
         return NO_EFFECT
     r, d = (np.concatenate([x.ravel() for x in xs]) for xs in ([part.r for part in parts], directions))
@@ -105,6 +108,8 @@ def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> E
     if not _TAKEN * float(d @ d) < M:
         return NO_EFFECT
     value = -float(left @ r) / M
+    if widths is not None and np.any(np.abs(value * taken[: len(widths)]) >= _FARTHEST * widths):
+        return NO_EFFECT
     rest = r + left * value
     lengths = [len(part.r) for part in parts]
     ends = np.cumsum([part.r.size for part in parts])[:-1]
@@ -152,7 +157,7 @@ def _gain(parts: Sequence[Stretch], turned: Sequence[Array], motions: Sequence[A
     within, own = _besides(parts, [Z[:, :, None] for Z in turned], C)
     every = zip(within, turned, motions, strict=True)
     usable = [(part, Z * motion[:, None]) for part, Z, motion in every if part.data.other is None]
-    return effect([part for part, _ in usable], [d for _, d in usable], own)
+    return effect([part for part, _ in usable], [d for _, d in usable], own, parts[0].widths)
 
 
 def _besides(parts: Sequence[Stretch], motions: Sequence[Array], C: Array) -> tuple[tuple[Stretch, ...], Array]:

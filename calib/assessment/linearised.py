@@ -136,7 +136,7 @@ class LinearisedSystem:
         self._looked_at = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
         # Known without any row: relations between targets, that turns and a size which nothing tells stay, and priors.
         related, moving = without_rows(self._problem, self._sigmas, self._x, self._split)
-        rows = np.concatenate([related, np.pad(moving.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
+        rows = np.concatenate([related, np.pad(moving.told_by.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
         self._known = rows.T @ rows
         priors, self._held = self._split.parts(np.array([parameter.hold for parameter in parameters]) ** 2)
         self._held[~self._split.real] = 1.0

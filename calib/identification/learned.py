@@ -15,9 +15,9 @@ from calib.foundations import linear
 from calib.foundations.arrays import Array, BoolArray
 from calib.identification.arrow import Arrow
 from calib.identification.parameters import Parameter, scales
-from calib.identification.set_up_motions import without
 from calib.identification.solver import Near, Solution, Sought, seek, solve
 from calib.identification.system import Evaluation, Problem
+from calib.identification.unmeasured import without
 from calib.identification.widths import WIDEST, NormalEquations, likeliest_widths, likelihood
 
 Outcome = Literal["learned", "too few", "nothing shows", "widest"]
@@ -120,7 +120,7 @@ def _equations(
 
     def gram(triangle: Array) -> Array:
         seen = triangle.copy()
-        if evaluation.set_up_motions.size:
+        if evaluation.set_up_motions.any:
             seen[:, :-1] = without(seen[:, :-1], evaluation.set_up_motions)
         shifted = seen @ shift
         return np.asarray(shifted.T @ shifted)

@@ -8,6 +8,7 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import PoseError
+from calib.identification.imitated_motions import TargetsFollowed
 from calib.identification.machine import Machine
 from calib.identification.observations.pixels import Photographed, of_photographs, photographed
 from calib.identification.observations.seen import Linearised, Moved, Seen
@@ -22,7 +23,6 @@ from calib.identification.rows import (
     setups_of,
 )
 from calib.identification.selection import NO_FRAME, Selection
-from calib.identification.set_up_motions import TargetsFollowed
 from calib.measurement.measurements import Measurements
 from calib.measurement.streams.stream import SHIFTS
 from calib.robot.kinematics import Follow, followed

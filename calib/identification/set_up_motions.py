@@ -1,9 +1,14 @@
-"""Motions of a whole set-up that its measurements do not determine: turning it, and making it larger.
+"""Motions of a whole set-up that its measurements do not determine: turning it, straining it, and making it larger.
 
 A machine that is larger throughout touches sockets, planes and balls in unknown places just as well, if their places
 grow with it; and everything may be turned together. Residuals make such directions look determined: a machine shrunk to
 a point explains every socket, and a turn turns what sockets leave unexplained. So they must be taken out, and not be
 left to a threshold.
+
+A machine that is larger along some axes alone seldom touches the same targets exactly; a SCARA does nearly, as far as
+its axes are parallel. Of m touched numbers, whitened, shrinking all saves cost in proportion to m, whatever is true.
+Where the data have an information of I about such a strain, it is then off by about m / I, which is more than half its
+standard error while I < 4 m^2. Then it is taken out as well.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,34 +17,22 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import linear, rigid
-from calib.foundations.arrays import Array, IntArray
-from calib.identification import identifiability
-from calib.identification.machine import Machine
-from calib.identification.observations.seen import Moved
-from calib.identification.parameters import Parameter, scales
+from calib.foundations.arrays import Array
 from calib.identification.relations import Relation
-from calib.identification.targets import Shape, Target, shape_of, shapes
+from calib.identification.targets import Target, shapes
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
 from calib.measurement.measurements import Measurements, numbered
 
-# Two ways to move every tool are the same when they differ by less than this share.
-_SAME = 1e-7
-# What of a target's twist moves what is measured of it: of a point its place, of a plane height and tilts.
-_SEEN_OF: Mapping[Shape, slice] = {"point": slice(0, 3), "plane": slice(2, 5), "frame": slice(0, 6)}
-# Unit directions are dependent when a combination of them is shorter than this.
-_DEPENDENT = 1e-3
-# J sees a motion clearly when its direction lies in the row space by more than this share: of a unit direction, of a
-# radian, or of the robot's reach.
-_CLEARLY = 0.1
-# The unit in which what a link carries is shifted, in m: as large as errors of a machine.
-_SHIFT = 1e-3
 # Known places, in m, and directions agree within this.
 _AGREE = 1e-9
+# Of what is touched the residual is how far the tool is from where all touches are.
+TOUCHES = ("socket", "plane", "sphere")
 
 
 class Motions(NamedTuple):
     """Motions of a whole set-up about a point (3,) that no measurement shows: turns (3, m), and whether it grows.
 
+    ``strained``: names of unknown targets, which a strain of the machine takes along; none where none is taken out.
     ``on_links``: turns (3, m), about the link's origin, of all that links carry, by link. ``shifted``: links that carry
     nothing known; what they carry may be shifted as well, so that it turns about any axis.
     """
@@ -49,6 +42,7 @@ class Motions(NamedTuple):
     grows: bool
     on_links: Mapping[str, Array]
     shifted: tuple[str, ...] = ()
+    strained: frozenset[str] = frozenset()
 
     @property
     def directions(self) -> int:
@@ -102,8 +96,24 @@ def motions(
     turns, on_links = free(None), {link: free(link) for link in dict.fromkeys(links.values())}
     held = {links.get(name) for name in shape if name in known}
     shifted = tuple(link for link, own in on_links.items() if own.shape[1] and link not in held)
-    every = Motions(about, turns, found is not None, on_links, shifted)
-    return None if found is None and not every.directions else every
+    every = Motions(about, turns, found is not None, on_links, shifted, _strained(measurements, known))
+    return None if found is None and not every.directions and not every.strained else every
+
+
+def _strained(measurements: Sequence[Measurements], known: Mapping[str, Target]) -> frozenset[str]:
+    """Return the names of unknown targets where touches of one leave less of the same noise by a smaller machine.
+
+    None where links carry targets or a camera looks: strains of these are not told apart.
+    """
+    if measurements[0].target_links or any(data.kind == "pixels" for data in measurements):
+        return frozenset()
+    unknown = {
+        (data.kind, name)
+        for data in measurements
+        for name in data.seen_targets
+        if name not in known or not known[name].height_is_known
+    }
+    return frozenset(name for _, name in unknown) if any(kind in TOUCHES for kind, _ in unknown) else frozenset()
 
 
 def _centre(
@@ -122,7 +132,7 @@ def _centre(
     taken_up: dict[tuple[str, str | int | None], float] = {}
     normals, heights = [np.zeros((0, 3))], [np.zeros(0)]
     for data in measurements:
-        unknown = _unknown_length(data)
+        unknown = unknown_length(data)
         of_a_mark = data.kind == "pixels" and not data.of_boards
         if data.points is not None and np.ptp(data.points, axis=0).any():
             # What a scanner sees has a known size.
@@ -150,175 +160,6 @@ def _centre(
     return np.asarray(found) if np.all(np.abs(A @ found - b) < _AGREE) else None
 
 
-def _unknown_length(data: Measurements) -> int | None:
+def unknown_length(data: Measurements) -> int | None:
     """Return the number of the scalar that is a part of what the rows measure, where one is."""
     return data.uses.get("offset", data.uses.get("radius"))
-
-
-def without(J: Array, set_up_motions: Array) -> Array:
-    """Return scaled rows J (q, p) that do not see the directions ``set_up_motions`` (p, k)."""
-    Q = taken_out(J, set_up_motions)
-    return np.asarray(J - (J @ Q) @ Q.T)
-
-
-def taken_out(J: Array, set_up_motions: Array) -> Array:
-    """Return orthonormal directions (p, j) to take out of scaled rows J (q, p): as J sees ``set_up_motions`` (p, k).
-
-    They may depend on each other: where one socket alone is touched, turns and growing are shifts but for residuals.
-    Far from a solution, where J sees one clearly, only what J sees of it is taken out: what else is in the null space
-    of J, such as a shift of the whole set-up, would be seen through it. Near a solution nothing is left to be told
-    apart.
-    """
-    U, sizes, _ = linear.svd(set_up_motions, full_matrices=False)
-    U = U[:, sizes > _DEPENDENT]
-    found = identifiability.singular_directions(J)
-    seen = found.vectors[:, : found.rank]
-    # Principal vectors of both spaces: columns of `seen @ A` and `U @ B.T` are at angles whose cosines are `shares`.
-    A, shares, B = linear.svd(seen.T @ U, full_matrices=False)
-    return np.linalg.qr(np.where(shares > _CLEARLY, seen @ A, U @ B.T))[0]
-
-
-def _small(A: Array, most: float) -> Array:
-    """Return orthonormal combinations (k, j) of the columns of A (q, k) that are no longer than ``most``."""
-    _, values, V = linear.svd(A)
-    return np.asarray(V[np.count_nonzero(values > most) :].T)
-
-
-def _large(A: Array, least: float) -> Array:
-    """Return orthonormal combinations (k, j) of the columns of A (q, k) that are longer than ``least``."""
-    _, values, V = linear.svd(A, full_matrices=False)
-    return np.asarray(V[values > least].T)
-
-
-class TargetsFollowed(NamedTuple):
-    """How targets follow common parameters: local twists ``by_twist`` (k, 6, c) of those of these ``numbers`` (k,)."""
-
-    numbers: IntArray
-    by_twist: Array
-
-    def twists(self, numbers: Sequence[int]) -> Array:
-        """Return those (n, 6, c) of some targets, by number; zero for one that follows none."""
-        found = np.zeros((len(numbers), *self.by_twist.shape[1:]))
-        there = np.isin(numbers, self.numbers)
-        found[there] = self.by_twist[np.searchsorted(self.numbers, np.asarray(numbers, dtype=np.intp)[there])]
-        return found
-
-
-class SetUpMotions:
-    """Collects, row by row, what the motions of a whole set-up do to tools, and what of it parameters can imitate."""
-
-    def __init__(self, parameters: Sequence[Parameter], motions: Motions, reach: float) -> None:
-        self._motions, self._reach = motions, reach
-        self._scales = scales(parameters)
-        self._of_targets = np.array([parameter.nuisance for parameter in parameters], dtype=np.bool_)
-        self._lengths = np.array([parameter.unit == "m" for parameter in parameters], dtype=np.bool_)
-        self._triangle = np.empty((0, len(parameters) + self._count + 3 * len(motions.shifted)))
-
-    @property
-    def _count(self) -> int:
-        return self._motions.directions + self._motions.grows
-
-    def _shift_of(self, link: str) -> slice:
-        """Return which columns, behind the parameters, shift what a link carries."""
-        first = self._count + 3 * self._motions.shifted.index(link)
-        return slice(first, first + 3)
-
-    def _moved(self, x: Array, link: str | None) -> Array:
-        """Return how points (n, 3) on a link, None being the floor, move (n, 3, k): by every turn, then by growing."""
-        about, turns = self._motions.of(link)
-        away = x - about
-        turned = np.cross(turns.T[None], away[:, None]).swapaxes(-1, -2)
-        return np.concatenate([turned, *[away[:, :, None]] * self._motions.grows], axis=2)
-
-    def add(
-        self,
-        J: Array,
-        moved: Sequence[Moved],
-        sigma: Array,
-        grounds: Sequence[tuple[str | None, IntArray | slice]],
-    ) -> None:
-        """Add rows (n, d, p) with their sigmas (n, d).
-
-        ``moved``: tools, and other ends. ``grounds``: which rows are told in which link, None being the floor.
-        """
-        changed = np.zeros((*J.shape[:2], self._count + 3 * len(self._motions.shifted)))
-        for one in moved:
-            by_shift, by_turn = one.by_motion
-            for link, own in grounds:
-                turns = self._motions.of(link)[1]
-                changed[own, :, : self._count] += by_shift[own] @ self._moved(one.placed[own, :3, 3], link)
-                if link in self._motions.shifted:
-                    changed[own, :, self._shift_of(link)] += by_shift[own] * _SHIFT
-                changed[own, :, : turns.shape[1]] += by_turn[own] @ turns
-        # What parameters, targets left out, do to a tool.
-        rows = np.concatenate([np.where(self._of_targets, 0.0, J), changed], axis=2) / sigma[:, :, None]
-        self._triangle = linear.triangle(np.concatenate([self._triangle, rows.reshape(-1, rows.shape[2])]))
-
-    def directions(
-        self, measurements: Sequence[Measurements], at: Machine, of_targets: TargetsFollowed, by_scalars: Array
-    ) -> Array:
-        """Return unit directions (p, j), scaled, of the motions that parameters imitate, turns first, then growing.
-
-        ``of_targets`` that are common, ``by_scalars`` (s, p): scalars, as the scaled parameters change; targets
-        that were eliminated follow the data. None where what a motion takes is held, and where nothing of it is seen: a
-        robot that turns or grows about the only point that it touches moves no row; of growing, which is the last where
-        it is a motion, zeros are left. Turns may be imitated about one axis alone, and along no axis of a frame: a link
-        turns with the joint before it.
-        """
-        p = len(self._scales)
-        q = p + self._count
-        J, C = np.delete(self._triangle, np.s_[p:q], axis=1), self._triangle[:, p:q]
-        X = np.linalg.lstsq(J, C, rcond=_SAME)[0]
-        Z, shifts = X[:p], np.asarray(-_SHIFT * X[p:])
-        # A turn shows in angles, growing in lengths, each of a size that is known.
-        sizes = Z * self._scales[:, None]
-        own, lengths, left = ~self._of_targets, self._lengths, J @ X - C
-        Z = Z + self._of_common_targets(measurements, at, of_targets, by_scalars, shifts)
-        found = []
-        for some, shown, size in (
-            (slice(None, self._motions.directions), own & ~lengths, 1.0),
-            (slice(self._motions.directions, None), own & lengths, self._reach),
-        ):
-            seen = np.linalg.norm(C[:, some], axis=0).max(initial=0.0)
-            V = _small(left[:, some], _SAME * seen)
-            found.append(Z[:, some] @ V @ _large(sizes[shown, some] @ V, _CLEARLY * size))
-        if self._motions.grows and not found[1].shape[1]:
-            found[1] = np.zeros((p, 1))
-        every = np.concatenate(found, axis=1)
-        return np.asarray(every / np.maximum(np.linalg.norm(every, axis=0), _AGREE))
-
-    def _of_common_targets(
-        self,
-        measurements: Sequence[Measurements],
-        at: Machine,
-        of_targets: TargetsFollowed,
-        by_scalars: Array,
-        shifts: Array,
-    ) -> Array:
-        """Return how the scaled parameters (p, k) of targets and scalars follow the motions, and ``shifts`` (s, k)."""
-        turns = self._motions.directions
-        Z = np.zeros((len(self._scales), self._count))
-        left = dict(zip(of_targets.numbers.tolist(), of_targets.by_twist, strict=True))
-        for data in measurements:
-            for t in sorted(left.keys() & set(data.target.tolist())):
-                by_twist = left.pop(t)
-                R, c = at.frames.targets[t, :3, :3], at.frames.targets[t, :3, 3]
-                twist = np.zeros((6, self._count))
-                link = data.link_of(t)
-                twist[:3] = R.T @ self._moved(c[None], link)[0]
-                if link in self._motions.shifted:
-                    first = 3 * self._motions.shifted.index(link)
-                    twist[:3] += R.T @ shifts[first : first + 3]
-                twist[3:, :turns] = R.T @ self._motions.of(link)[1]
-                rows = _SEEN_OF[shape_of(data) or "point"]
-                if data.kind == "plane":
-                    # With the probe's radius it is where the tool is that grows.
-                    twist[2, turns:] += data.value[data.target == t][0, 0]
-                Z += np.linalg.lstsq(by_twist[rows], twist[rows], rcond=None)[0]
-            unknown = _unknown_length(data)
-            if unknown is not None and self._motions.grows:
-                # What is left of the measured length when the unknown part is taken away grows.
-                length = data.value[0, 0] if "radius" in data.uses else -data.value[0, 0]
-                row, known = by_scalars[unknown], at.frames.scalars[unknown] + length
-                Z[:, turns] = np.where(row != 0.0, known * row / (row @ row), Z[:, turns])
-        return Z

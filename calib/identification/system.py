@@ -19,6 +19,7 @@ from calib.identification.arrow import Arrow, Collected, Heads, Part, Split, ali
 from calib.identification.elimination import split_of
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import RANK_TOLERANCE
+from calib.identification.imitated_motions import SetUpMotions
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Layout, Machine, States
 from calib.identification.observations.pixels import Photographed
@@ -36,8 +37,9 @@ from calib.identification.rows import (
     setups_of,
 )
 from calib.identification.selection import Selection
-from calib.identification.set_up_motions import Motions, SetUpMotions, motions, taken_out
+from calib.identification.set_up_motions import Motions, motions
 from calib.identification.together import PhotographRows, Together
+from calib.identification.unmeasured import Unmeasured, taken_out
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations, Nominals, Robot
@@ -201,21 +203,21 @@ class Evaluation(NamedTuple):
     That is a triangle (q, c + 1) by the common parameters of the ``split``, and ``heads`` of blocks, by these and by
     their own. Without a split all are common. Columns of J are scaled: they are derivatives for a change of each
     parameter by its scale. Rows are whitened by the sigmas that were given. ``relations`` (k, c + 1): ``[J r]`` of what
-    is known between targets, whitened. ``set_up_motions`` (c, k): unit directions in which the whole set-up turns, and
-    grows, unmeasured, the blocks following; zeros are none.
+    is known between targets, whitened. ``set_up_motions``: those of the whole set-up that are not measured, the blocks
+    following.
     """
 
     residuals: tuple[Array, ...]
     triangles: tuple[Array, ...]
     relations: Array
-    set_up_motions: Array
+    set_up_motions: Unmeasured
     heads: tuple[Heads, ...] = ()
     given_split: Split | None = None
 
     @property
     def split(self) -> Split:
         """Which parameters are common, and which are of one block each."""
-        return Split.none(len(self.set_up_motions)) if self.given_split is None else self.given_split
+        return Split.none(len(self.set_up_motions.holds)) if self.given_split is None else self.given_split
 
     def reweighted(self, factors: Sequence[float] | Array) -> "Evaluation":
         """Return what it is with sigmas that are new by one factor for every component."""
@@ -236,11 +238,11 @@ class Evaluation(NamedTuple):
         """All that the data say: of every component, and of all with the relations."""
         split, parts = self.split, self.alone
         whole = gathered(split, [own.heads for own in parts], [*self.triangles, self.relations])
-        if not self.set_up_motions.size:
+        if not self.set_up_motions.any:
             return Rows(parts, whole)
         reduced = whole.reduced(RANK_TOLERANCE)
-        follow, Q = reduced.follow, taken_out(reduced.rest[:, :-1], self.set_up_motions)
-        return Rows(tuple(own.without(follow, Q) for own in parts), whole.without(follow, Q))
+        follow, taken = reduced.follow, taken_out(reduced.rest[:, :-1], self.set_up_motions)
+        return Rows(tuple(own.without(follow, taken) for own in parts), whole.without(follow, taken))
 
 
 def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array, given: Split | None = None) -> Evaluation:
@@ -249,7 +251,7 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array, given: Split |
     ``given``: another split than the problem's own.
     """
     split, at = problem.split if given is None else given, problem.machine(x)
-    whole = _set_up_motions(problem, split)
+    whole = _set_up_motions(problem, at, split)
     rates = problem.rates(at, scales(problem.parameters), split)
     a, c = split.blocks.shape[1], len(split.common)
     components = list(enumerate(problem.components))
@@ -271,7 +273,9 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array, given: Split |
             whitened = problem.whitened(i, block.rows, np.concatenate([block.J, residual[:, :, None]], axis=2) / s)
             left[block.rows] = whitened[:, :, -1] * s[:, :, 0] if problem.together else residual
             if whole is not None:
-                whole.add(block.J, block.moved, sigma[block.rows], block.grounds)
+                whole.add(
+                    block.J, block.moved, sigma[block.rows], block.grounds, (data, block.rows, block.observed.residual)
+                )
             for own, columns in of_set:
                 turned = None if block.own is None else problem.whitened(i, block.rows, block.own / s)[:, columns]
                 own.add(whitened[:, columns], turned, block.block)
@@ -311,46 +315,49 @@ def _folded(
 
 def without_rows(
     problem: Problem, sigmas: Sequence[Array], x: Array, given: Split | None = None
-) -> tuple[Array, Array]:
-    """Return the relations (k, c + 1) and set-up motions (c, k) of an :class:`Evaluation`, which no row is needed for.
+) -> tuple[Array, Unmeasured]:
+    """Return the relations (k, c + 1) and set-up motions of an :class:`Evaluation`, which no row is needed for.
 
     Rows are looked at only where the set-up may move, which they tell how to weigh. All parameters are common, unless
     a split is ``given``.
     """
     at, split = problem.machine(x), Split.none(len(problem.parameters)) if given is None else given
-    whole = _set_up_motions(problem, split)
+    whole = _set_up_motions(problem, at, split)
     rates = problem.rates(at, scales(problem.parameters), split)
     if whole is not None:
         for data, sigma in zip(problem.measurements, sigmas, strict=True):
             for block in rates.blocks(data):
-                whole.add(block.J, block.moved, sigma[block.rows], block.grounds)
+                whole.add(
+                    block.J, block.moved, sigma[block.rows], block.grounds, (data, block.rows, block.observed.residual)
+                )
     return _of_the_whole(problem, rates, at, whole)
 
 
-def _set_up_motions(problem: Problem, split: Split) -> SetUpMotions | None:
+def _set_up_motions(problem: Problem, at: Machine, split: Split) -> SetUpMotions | None:
     moving, parameters = problem.motions, [problem.parameters[k] for k in split.common]
-    return None if moving is None else SetUpMotions(parameters, moving, problem.model.robot.reach)
+    return None if moving is None else SetUpMotions(parameters, moving, problem.model.robot.reach, at.frames)
 
 
-def _of_the_whole(problem: Problem, rates: Rates, at: Machine, whole: SetUpMotions | None) -> tuple[Array, Array]:
-    """Return what is known between targets (k, c + 1), and directions (c, k) in which the whole set-up moves."""
-    related = _related(problem, rates, at)
+def _of_the_whole(problem: Problem, rates: Rates, at: Machine, whole: SetUpMotions | None) -> tuple[Array, Unmeasured]:
+    """Return what is known between targets (k, c + 1), and how the whole set-up moves unmeasured."""
+    numbers, J, r = _relations(problem, at)
+    related = np.column_stack([np.tensordot(J, rates.of_targets.twists(numbers), axes=2), r])
     if whole is None:
-        return related, np.zeros((related.shape[1] - 1, 0))
-    return related, whole.directions(problem.measurements, at, rates.of_targets, rates.of_scalars)
+        return related, Unmeasured.none(related.shape[1] - 1)
+    return related, whole.directions(problem.measurements, rates.of_targets, rates.of_scalars, (numbers, J))
 
 
 def related(problem: Problem, x: Array) -> Array:
     """Return the relations (k, p + 1) of an :class:`Evaluation` at ``x``, all parameters being common."""
     at = problem.machine(x)
-    return _related(problem, problem.rates(at, scales(problem.parameters)), at)
+    return _of_the_whole(problem, problem.rates(at, scales(problem.parameters)), at, None)[0]
 
 
-def _related(problem: Problem, rates: Rates, at: Machine) -> Array:
+def _relations(problem: Problem, at: Machine) -> tuple[list[int], Array, Array]:
+    """Return numbers (n,) of related targets, and derivatives (k, n, 6) and residuals (k,) of what is known of them."""
     names = problem.measurements[0].targets if problem.measurements else ()
     numbers = sorted(map(names.index, related_targets(problem.relations)))
-    J, r = relate(problem.relations, [names[t] for t in numbers], at.frames.targets[numbers])
-    return np.column_stack([np.tensordot(J, rates.of_targets.twists(numbers), axes=2), r])
+    return numbers, *relate(problem.relations, [names[t] for t in numbers], at.frames.targets[numbers])
 
 
 def jacobian(problem: Problem, x: Array) -> tuple[Array, ...]:

@@ -36,8 +36,8 @@ from calib.identification.not_seen import likely_widths
 from calib.identification.parameters import Parameter, scales
 from calib.identification.relations import related_targets
 from calib.identification.repeats import Repeats, by_pose
-from calib.identification.set_up_motions import without
 from calib.identification.system import Problem, without_rows
+from calib.identification.unmeasured import Unmeasured, without
 from calib.identification.widths import NormalEquations, likelihood, searched
 from calib.machine.systematic import Systematic, usual_waves
 from calib.machine.uncertainty import LeftOut, Waves, WindUp
@@ -328,7 +328,7 @@ class _Solved(NamedTuple):
     from_priors: Array
 
 
-def _solved(parameters: Sequence[Parameter], known: tuple[Array, Array], data: Array, free: int) -> _Solved:
+def _solved(parameters: Sequence[Parameter], known: tuple[Array, Unmeasured], data: Array, free: int) -> _Solved:
     """Return the solution from ``data`` (q, p + m + 1), whitened triangles ``[J B r]`` of all components.
 
     ``known``: relations and set-up motions. Parameters beyond the first ``free`` ones are held; their errors are those
@@ -338,7 +338,7 @@ def _solved(parameters: Sequence[Parameter], known: tuple[Array, Array], data: A
     hold = np.array([parameter.hold for parameter in parameters])
     relations, set_up_motions = known
     J = np.concatenate([data[:, :p], relations[:, :p]])
-    if set_up_motions.size:
+    if set_up_motions.any:
         J = without(J, set_up_motions)
     J, related = J[: len(data)], relations[:, :free]
     rows = np.concatenate([J[:, :free], related, np.diag(hold[:free])])

@@ -69,6 +69,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
         f"{OBSERVATIONS}::test_relations_that_cannot_be",
     ),
     "identification/set_up_motions": ("identification/test_observations", "identification/test_pixels"),
+    "identification/imitated_motions": ("identification/test_strains", "identification/test_observations"),
+    "identification/unmeasured": ("identification/test_strains", "identification/test_observations"),
     "identification/noise": ("identification/test_noise", "assessment/test_nist"),
     "identification/weights": ("identification/test_noise", "assessment/test_nist", "assessment/test_outliers"),
     "identification/losses": ("identification/test_losses", "assessment/test_outliers"),

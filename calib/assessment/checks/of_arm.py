@@ -1,6 +1,6 @@
 """Checks of the arm and its surroundings: whether what was found, or given, is plausible."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from calib.identification.fit import Fit
 from calib.identification.identifiability import MOVED, NUMERICAL_TOLERANCE
 from calib.identification.machine import values_at
 from calib.identification.parameters import Parameter, scales
-from calib.identification.set_up_motions import motions
 from calib.identification.system import Problem, related
 from calib.measurement.checks import Finding
 from calib.measurement.optics import SCALE as OF_BOARD
@@ -79,10 +78,8 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
             # A deviation is in the joint's own frame.
             scaled[p] = (T[:3, :3].T @ T[:3, 3])["xyz".index(component[1])]
             moved[p] = True
-    of_joint = dict[int, list[int]]()
-    for p in np.flatnonzero(moved).tolist():
-        of_joint.setdefault(numbers[fit.parameters[p].name.rpartition(".")[0]], []).append(p)
-    worst, link = _most_wrong(fit, of_joint)
+    free = {numbers[fit.parameters[p].name.rpartition(".")[0]] for p in np.flatnonzero(moved).tolist()}
+    worst, link = _most_wrong(fit, sorted(free))
     scale, sigma, moves, alike = _common_scale(fit, parts, scaled, moved)
     most = LINK if alike < ALIKE and abs(scale) > SCALE else SCALE
     if abs(scale) > max(most, SURE * sigma) and abs(scale) * moves > SCALED:
@@ -92,7 +89,7 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
         )
         return Check.of("lengths", abs(scale), most, False, said)
     if worst > 1.0:
-        return Check.of("lengths", worst * LINK, LINK, False, link)
+        return Check.of("lengths", worst * LINK, LINK, False, f"{link}: is it the URDF of this robot?")
     if not moved.any():
         said = "No lengths were free."
     elif abs(scale) > most:
@@ -105,34 +102,24 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
     return Check.of("lengths", abs(scale), most, True, said)
 
 
-def _most_wrong(fit: Fit, of_joint: Mapping[int, Sequence[int]]) -> tuple[float, str]:
+def _most_wrong(fit: Fit, joints: Sequence[int]) -> tuple[float, str]:
     """Return how far the link that is farthest from the URDF is off, of what it may, and what is said of it.
 
-    ``of_joint``: the free lengths of every joint, by number. Where nothing tells the size of what was touched, a
-    smaller arm leaves less of the same noise: what is hardly told of lengths then makes them shrink by centimetres.
-    Lengths that are not identifiable may there be off by no more than the weak priors that hold them.
+    ``joints``: those with free lengths, by number.
     """
-    moving = motions(fit.measurements, fit.model.targets, fit.model.relations, fit.machine.frames.base[:3, 3])
-    sized = moving is None or not moving.grows
     worst, link = 0.0, ""
-    for k, free in sorted(of_joint.items()):
+    for k in joints:
         T, own = np.asarray(fit.robot.chain[k].placement), fit.deviations.placements[k, :3]
         length = float(np.linalg.norm(T[:3, 3]))
         by = float(T[:3, 3] @ T[:3, :3] @ own) / length if length > 0.0 else float(np.linalg.norm(own))
         beside = float(np.sqrt(max(float(own @ own) - by**2, 0.0)))
         name = repr(fit.robot.chain[k].name)
-        told = sized or not fit.unidentifiable[list(free)].all()
-        width = max(fit.parameters[p].scale / fit.parameters[p].hold for p in free)
-        why = (
-            "is it the URDF of this robot?" if told else "and the measurements hardly tell it: one known length would."
-        )
         for off, of, said in (
             (abs(by), length, f"The distance to joint {name} differs by {by / MM:+.0f} mm from the URDF"),
             (beside, fit.robot.reach, f"Joint {name} is {beside / MM:.0f} mm beside its place in the URDF"),
         ):
-            most = max(LINK * of, LINK_LENGTH) if told else width
-            if off > worst * most:
-                worst, link = off / most, f"{said}{':' if told else ','} {why}"
+            if off > worst * max(LINK * of, LINK_LENGTH):
+                worst, link = off / max(LINK * of, LINK_LENGTH), said
     return worst, link
 
 

@@ -1,0 +1,83 @@
+"""How the whole set-up moves unmeasured, as parameters imitate it, and rows that do not see it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.foundations import linear
+from calib.foundations.arrays import Array
+from calib.identification import identifiability
+
+# Unit directions are dependent when a combination of them is shorter than this.
+_DEPENDENT = 1e-3
+# J sees a motion clearly when its direction lies in the row space by more than this share.
+_CLEARLY = 0.1
+
+
+class Unmeasured(NamedTuple):
+    """Directions, scaled and of unit length, in which the whole set-up moves unmeasured, as p parameters imitate it.
+
+    ``exact`` (p, k): turns, then growing, which is zero where nothing grows. ``strains`` (p, j): what is hardly told.
+    ``holds`` (p,): how strongly priors hold each parameter.
+    """
+
+    exact: Array
+    strains: Array
+    holds: Array
+
+    @classmethod
+    def none(cls, p: int) -> "Unmeasured":
+        """Return those where nothing moves."""
+        return cls(np.zeros((p, 0)), np.zeros((p, 0)), np.zeros(p))
+
+    @property
+    def any(self) -> bool:
+        """Whether there are any."""
+        return bool(self.exact.size or self.strains.size)
+
+    @property
+    def exact_alone(self) -> "Unmeasured":
+        """The same without strains."""
+        return self._replace(strains=self.strains[:, :0])
+
+    @property
+    def told_by(self) -> Array:
+        """Coordinates (p, k + j) which say how far the parameters have gone along each."""
+        return np.concatenate([self.exact, _told_by(self.strains, self.holds)], axis=1)
+
+
+def _told_by(U: Array, holds: Array) -> Array:
+    """Return coordinates (p, j) along directions U (p, j) that others do not change which priors tell from them.
+
+    Without priors these are at right angles to U. By priors a tool's length, which hardly shows where joints are nearly
+    parallel and may be anything, is no part of a strain, far as it may go with one.
+    """
+    weights = np.where(np.any(holds[:, None] * U != 0.0), holds**2, 1.0)[:, None] * U
+    return np.asarray(weights @ np.linalg.pinv(U.T @ weights))
+
+
+def without(J: Array, unmeasured: Unmeasured) -> Array:
+    """Return scaled rows J (q, p) that do not see what is ``unmeasured``."""
+    A, B = taken_out(J, unmeasured)
+    return np.asarray(J - (J @ A) @ B.T)
+
+
+def taken_out(J: Array, unmeasured: Unmeasured) -> tuple[Array, Array]:
+    """Return directions A (p, j) and coordinates B (p, j): J - J A B^T are scaled rows J (q, p) without the motions.
+
+    They may depend on each other: where one socket alone is touched, turns and growing are shifts but for residuals.
+    Far from a solution, where J sees an exact one clearly, only what J sees of it is taken out: what else is in the
+    null space of J, such as a shift of the whole set-up, would be seen through it. Near a solution nothing is left to
+    be told apart. Of strains, of which J sees a little, priors tell what else is in the null space.
+    """
+    U, sizes, _ = linear.svd(unmeasured.exact, full_matrices=False)
+    U = U[:, sizes > _DEPENDENT]
+    found = identifiability.singular_directions(J)
+    seen = found.vectors[:, : found.rank]
+    # Principal vectors of both spaces: columns of `seen @ A` and `U @ B.T` are at angles whose cosines are `shares`.
+    A, shares, B = linear.svd(seen.T @ U, full_matrices=False)
+    Q = np.linalg.qr(np.where(shares > _CLEARLY, seen @ A, U @ B.T))[0]
+    strains, sizes, _ = linear.svd(unmeasured.strains - Q @ (Q.T @ unmeasured.strains), full_matrices=False)
+    strains = strains[:, sizes > _DEPENDENT]
+    told_by = _told_by(strains, unmeasured.holds)
+    return np.concatenate([Q, strains], axis=1), np.concatenate([Q, told_by - Q @ (Q.T @ told_by)], axis=1)
