@@ -80,6 +80,7 @@ class Step:
     ``size``: what it does to a row, over the standard deviation of what remains of one number. ``chance``: of one such
     change anywhere, neighbouring rows taken for as many as they are worth. ``parted``: the joint, if there is one, that
     stood elsewhere in the rows before than in those after, so that errors of the arm there look like the change.
+    ``photographed``: whether rows are marks in photographs.
     """
 
     what: str
@@ -88,6 +89,7 @@ class Step:
     size: float
     chance: float
     parted: str = ""
+    photographed: bool = False
 
 
 NO_EFFECT = Effect(float("nan"), float("nan"), float("nan"))
@@ -595,7 +597,7 @@ def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step 
     chance = min(1.0, _chance(score, rest, part) * len(places) * things)
     # The rows were thinned, maybe: their numbers are those of the whole set.
     line = int(part.data.lines[int(part.row[place - 1])])
-    return Step(what, part.data.where, line, size, chance, _parted(part, place))
+    return Step(what, part.data.where, line, size, chance, _parted(part, place), part.data.kind == "pixels")
 
 
 def _parted(part: Stretch, place: int) -> str:

@@ -59,7 +59,10 @@ def jump(found: Sequence[Step], outliers: Outliers) -> Check:
     size, said, parted = 0.0, "", ""
     if worst is not None:
         size, parted = worst.size, worst.parted
-        said = f"{worst.file}:{worst.line}: after this row the {_thing(worst.what)} seems to have changed"
+        beside = (
+            ", or the board or camera that stands beside it," if worst.photographed and worst.what == "base" else ""
+        )
+        said = f"{worst.file}:{worst.line}: after this row the {_thing(worst.what)}{beside} seems to have changed"
         said += f", by {size:.2g} times the scatter of the residuals"
     for target in outliers.moved:
         n, m = target.rows
