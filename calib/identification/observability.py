@@ -17,7 +17,8 @@ from calib.identification.identifiability import NullDirection
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import Layout, values_at
 from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter
-from calib.identification.system import Evaluation, Problem, evaluate
+from calib.identification.system import Evaluation, Problem, evaluate, without_rows
+from calib.identification.weights import search_variances, sigmas_of
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
 
@@ -110,6 +111,17 @@ def rank_findings(model: ErrorModel, measurements: Sequence[Measurements]) -> tu
                 "diameter, or positions from an instrument.",
             )
         )
+    if moving is not None and moving.strained and _hardly_told(problem):
+        found.append(
+            Finding(
+                "warning",
+                "proportions-unseen",
+                "The measurements hardly determine how long the arm is along some of its axes: one that is longer or "
+                "wider there touches nearly the same targets in other places. It is kept as it is nominally. One known "
+                "length along these axes determines it: the distance between two sockets or planes ([[relations]]), a "
+                "gauge, a ball bar, or positions from an instrument.",
+            )
+        )
     if len(problem.model.setups) > len(model.setups):
         found.append(
             Finding(
@@ -143,6 +155,13 @@ def _unturned(problem: Problem) -> Iterator[Finding]:
             "orientations are predicted well, others are not. To determine the tool point, add poses that turn the tip "
             'link by tens of degrees about two directions, or give the tool (tool = "fixed").',
         )
+
+
+def _hardly_told(problem: Problem) -> bool:
+    """Return whether the rows, with their noise, tell some strain of the arm so badly that it is taken out."""
+    sigmas = sigmas_of(problem, search_variances(problem), search=True)
+    _, found = without_rows(problem, sigmas, values_at(problem.model.robot, problem.parameters, problem.reference))
+    return bool(found.strains.size)
 
 
 def _at_start(problem: Problem) -> Evaluation:
