@@ -88,6 +88,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
     units = np.ones(len(parameters))
     judged = tuple(fit.parameters[k] for k in residue.judged)
     widths = np.array([p.weak_prior / p.scale if p.of_robot else np.inf for p in judged])
+    A, B = (part[residue.judged] for part in residue.strains)
     found = []
     for i, data in enumerate(fit.measurements):
         rows = _chosen(data, residue)
@@ -105,7 +106,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
         J, left = np.empty((*part.sigma.shape, len(judged))), np.empty(part.sigma.shape)
         for b in mine.rates(fit.machine, scales(judged)).blocks(part):
             J[b.rows], left[b.rows] = b.J / sigma[b.rows] * w[b.rows], b.observed.residual
-        J = less(J)
+        J = less(J - (J @ A) @ B.T)
         r = less(left[:, :, None] / sigma * w)[:, :, 0]
         rates, step = _rates(data, fit.machine.frames.scalars)
         found.append(

@@ -28,8 +28,8 @@ _CLEARLY = 0.1
 _SHIFT = 1e-3
 # A length, in m, or a direction that is none.
 _NONE = 1e-9
-# Of a strain that is not taken out the bias is at most one over the root of this, in standard errors.
-_HARDLY = 4.0
+# Of a strain that is not taken out the bias is at most one over the root of this, in standard errors; or one over that.
+_HARDLY, _BY_LITTLE = 4.0, 1e3
 # Where these are strained the tool goes along; a ball that is strained is none.
 _FOLLOWED = ("socket", "plane")
 # Symmetric strains, orthonormal: growing first, then those that change no volume.
@@ -219,7 +219,8 @@ class SetUpMotions:
         X[p:] += beside[: J.shape[1] - p]
         X += exact[0] @ beside[J.shape[1] - p :]
         shrunk = np.einsum("ik,ij,jk->k", V, self._shrunk, V)
-        return X, V[:, (told < _HARDLY * self._touched) & (shrunk < _CLEARLY**2 * np.sum(at_least**2, axis=0))]
+        hardly = told < min(_HARDLY * self._touched, _BY_LITTLE)
+        return X, V[:, hardly & (shrunk < _CLEARLY**2 * np.sum(at_least**2, axis=0))]
 
     def _of_relations(self, numbers: Sequence[int], J: Array) -> Array:
         """Return what strains (m, s) do to what is known between targets, from derivatives J (m, n, 6) by twists."""

@@ -41,6 +41,19 @@ class Unmeasured(NamedTuple):
         return self._replace(strains=self.strains[:, :0])
 
     @property
+    def strains_at_solution(self) -> tuple[Array, Array]:
+        """Directions A (p, j) and coordinates B (p, j) of strains alone, as of :func:`taken_out` near a solution."""
+        U, sizes, _ = linear.svd(self.exact, full_matrices=False)
+        return self._strains_beside(U[:, sizes > _DEPENDENT])
+
+    def _strains_beside(self, Q: Array) -> tuple[Array, Array]:
+        """Return directions and coordinates of strains beside orthonormal directions Q (p, k)."""
+        U, sizes, _ = linear.svd(self.strains - Q @ (Q.T @ self.strains), full_matrices=False)
+        U = U[:, sizes > _DEPENDENT]
+        told_by = _told_by(U, self.holds)
+        return U, told_by - Q @ (Q.T @ told_by)
+
+    @property
     def told_by(self) -> Array:
         """Coordinates (p, k + j) which say how far the parameters have gone along each."""
         return np.concatenate([self.exact, _told_by(self.strains, self.holds)], axis=1)
@@ -77,7 +90,5 @@ def taken_out(J: Array, unmeasured: Unmeasured) -> tuple[Array, Array]:
     # Principal vectors of both spaces: columns of `seen @ A` and `U @ B.T` are at angles whose cosines are `shares`.
     A, shares, B = linear.svd(seen.T @ U, full_matrices=False)
     Q = np.linalg.qr(np.where(shares > _CLEARLY, seen @ A, U @ B.T))[0]
-    strains, sizes, _ = linear.svd(unmeasured.strains - Q @ (Q.T @ unmeasured.strains), full_matrices=False)
-    strains = strains[:, sizes > _DEPENDENT]
-    told_by = _told_by(strains, unmeasured.holds)
-    return np.concatenate([Q, strains], axis=1), np.concatenate([Q, told_by - Q @ (Q.T @ told_by)], axis=1)
+    strains, told_by = unmeasured._strains_beside(Q)
+    return np.concatenate([Q, strains], axis=1), np.concatenate([Q, told_by], axis=1)
