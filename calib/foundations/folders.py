@@ -17,6 +17,7 @@ import json
 import os
 import re
 import stat
+import sys
 import time
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -41,6 +42,8 @@ from calib.foundations.files import (
 _NEW, _OLD, _LIST = "new", "old", "list.json"
 _MARK = "files of an unfinished run of calib, which the next one removes"
 _LARGEST_LIST = 100_000
+# Whom else a folder of Linux lets in, and what is made in it.
+_ACCESS_LISTS = ("system.posix_acl_access", "system.posix_acl_default")
 # How long to wait for another run to read or write beside a folder, in s: it takes moments.
 _PATIENCE = 30.0
 _LOOK = 0.02
@@ -218,7 +221,8 @@ def _write(place: _Place, files: Mapping[str, bytes | str], older: Collection[st
         with opened_folder(_NEW, work.handle) as new:
             found = lstat(place.name, place.above)
             if found is not None and stat.S_ISDIR(found.st_mode):
-                _let_in_as(found, new)
+                with opened_folder(place.name, place.above) as old:
+                    _let_in_as(found, _access_lists(old), new)
             for name, contents in files.items():
                 create(name, new, encoded(contents) if isinstance(contents, str) else contents)
             names_to_disk(new)
@@ -256,17 +260,41 @@ def _begun(place: _Place, listed: Collection[str]) -> Iterator[_Work]:
                 _end(place, work)
 
 
-def _let_in_as(old: os.stat_result, new: int) -> None:
+def _let_in_as(old: os.stat_result, lists: Mapping[str, bytes], new: int) -> None:
     """Let those into a new folder whom the old one lets in; its group, too, where this user may give it to that."""
     mode, made = stat.S_IMODE(old.st_mode), os.fstat(new)
     if made.st_gid != old.st_gid:
         try:
             os.fchown(new, -1, old.st_gid)
         except OSError:  # another group may do no more than everybody
-            mode = mode & ~(stat.S_ISGID | stat.S_IRWXG) | (mode & stat.S_IRWXO) << 3
-    if mode != stat.S_IMODE(made.st_mode):
+            mode, lists = mode & ~(stat.S_ISGID | stat.S_IRWXG) | (mode & stat.S_IRWXO) << 3, {}
+    if not _set_access_lists(new, lists):
+        mode = mode & ~stat.S_IRWXG | (mode & stat.S_IRWXO) << 3
+    if mode != stat.S_IMODE(os.fstat(new).st_mode):
         with contextlib.suppress(OSError):  # a file system without permissions
             os.fchmod(new, mode)
+
+
+def _access_lists(folder: int) -> dict[str, bytes]:
+    """Return the access control lists of a folder; where it has one, its mode does not tell what its group may do."""
+    found = {}
+    if sys.platform == "linux":
+        for name in _ACCESS_LISTS:
+            with contextlib.suppress(OSError):  # it has none, or the file system knows none
+                found[name] = os.getxattr(folder, name)
+    return found
+
+
+def _set_access_lists(folder: int, lists: Mapping[str, bytes]) -> bool:
+    """Give a new folder these access control lists and no other, as of the folder above; return whether it has them."""
+    if sys.platform == "linux":
+        for name in _access_lists(folder).keys() - lists.keys():
+            with contextlib.suppress(OSError):
+                os.removexattr(folder, name)
+        with contextlib.suppress(OSError):
+            for name, entries in lists.items():
+                os.setxattr(folder, name, entries)
+    return _access_lists(folder) == lists
 
 
 def _exchange(place: _Place, work: _Work, *, replaced: bool) -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import stat
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -142,6 +143,63 @@ def test_a_group_that_cannot_be_kept_gives_no_other_group_its_rights(
     write_folder(out, NEW, OURS)
     assert given == [(-1, tmp_path.stat().st_gid + 1)]
     assert stat.S_IMODE(out.stat().st_mode) == other
+
+
+# Of an access control list: whom an entry is for, by kind; what all but the owner and others may at most.
+USER, ONE, GROUP, MOST, OTHERS = 1, 2, 4, 16, 32
+ACCESS, DEFAULT = "system.posix_acl_access", "system.posix_acl_default"
+
+
+def listed(*entries: tuple[int, int]) -> bytes:
+    """Return an access control list as Linux keeps it: kinds, and what each may; a user that is named has number 0."""
+    return struct.pack("<I", 2) + b"".join(
+        struct.pack("<HHI", kind, may, 0 if kind == ONE else 0xFFFFFFFF) for kind, may in entries
+    )
+
+
+def set_list(folder: Path, name: str, entries: bytes) -> None:
+    try:
+        os.setxattr(folder, name, entries)
+    except (AttributeError, OSError):
+        pytest.skip("this file system has no access control lists")
+
+
+def list_of(folder: Path, name: str) -> bytes | None:
+    return os.getxattr(folder, name) if name in os.listxattr(folder) else None
+
+
+# One user is let in, and the group of the folder is not; its mode says of neither.
+ONE_USER = listed((USER, 7), (ONE, 7), (GROUP, 0), (MOST, 7), (OTHERS, 0))
+
+
+def test_a_folder_that_is_replaced_keeps_its_access_control_lists(tmp_path: Path) -> None:
+    out = fill(tmp_path / "out", OLD)
+    set_list(out, ACCESS, ONE_USER)
+    set_list(out, DEFAULT, ONE_USER)
+    write_folder(out, NEW, OURS)
+    assert texts(out) == NEW
+    assert (list_of(out, ACCESS), list_of(out, DEFAULT)) == (ONE_USER, ONE_USER)
+    assert stat.S_IMODE(out.stat().st_mode) == 0o770
+
+
+def test_a_folder_that_is_replaced_takes_no_list_of_the_folder_above(tmp_path: Path) -> None:
+    out = fill(tmp_path / "out", OLD)
+    out.chmod(0o750)
+    set_list(tmp_path, DEFAULT, ONE_USER)
+    write_folder(out, NEW, OURS)
+    assert (list_of(out, ACCESS), list_of(out, DEFAULT)) == (None, None)
+    assert stat.S_IMODE(out.stat().st_mode) == 0o750
+
+
+def test_a_list_that_cannot_be_kept_gives_no_group_its_rights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    out = fill(tmp_path / "out", OLD)
+    set_list(out, ACCESS, ONE_USER)
+    monkeypatch.setattr(os, "setxattr", refuse)
+    write_folder(out, NEW, OURS)
+    assert stat.S_IMODE(out.stat().st_mode) == 0o700
 
 
 def test_a_folder_whose_name_does_not_reach_the_disk_gives_way_to_the_old_one(
