@@ -309,15 +309,18 @@ def _local(workers: int | None, jobs: Sequence[FleetJob]) -> Iterator[Iterable[D
 def _mind_quietly() -> None:
     """Start the helper of joblib that takes back what processes share, without warnings: of what it finds gone, too.
 
-    A signal may come between taking something back and telling the helper of it.
+    A signal may come between taking something back and telling the helper of it. It outlives this process, also where a
+    terminal that is closed tells all of them to end: what follows it would know of nothing, and say so by tracebacks.
     """
     from joblib.externals.loky.backend import resource_tracker  # noqa: PLC0415 - calib must not load it on import
 
     given = sys.warnoptions
     sys.warnoptions = ["ignore"]  # it is started with these
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     try:
         resource_tracker.ensure_running()
     finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
         sys.warnoptions = given
 
 

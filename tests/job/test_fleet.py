@@ -345,11 +345,18 @@ def test_a_fault_of_this_program_costs_its_job_alone(folder: Path, monkeypatch: 
 
 
 @pytest.mark.parametrize(
-    "by",
-    [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL],
-    ids=["Ctrl-C", "ended", "terminal closed", "killed"],
+    ("by", "all_of_them"),
+    [
+        (signal.SIGINT, True),
+        (signal.SIGTERM, False),
+        (signal.SIGTERM, True),
+        (signal.SIGHUP, False),
+        (signal.SIGHUP, True),
+        (signal.SIGKILL, False),
+    ],
+    ids=["Ctrl-C", "ended", "all ended", "told of a closed terminal", "terminal closed", "killed"],
 )
-def test_what_is_finished_is_kept_and_the_workers_end(folder: Path, by: signal.Signals) -> None:
+def test_what_is_finished_is_kept_and_the_workers_end(folder: Path, by: signal.Signals, *, all_of_them: bool) -> None:
     many = [f"job_{k}.toml" for k in range(12)]
     for name in many:
         (folder / "jobs" / name).write_bytes((folder / "jobs/plain.toml").read_bytes())
@@ -371,7 +378,7 @@ def test_what_is_finished_is_kept_and_the_workers_end(folder: Path, by: signal.S
         said = "Error: interrupted; what is finished is kept, and the same command goes on with the rest.\n"
         assert (running.wait(), *running.communicate()) == (130, "", said)
     elif by in (signal.SIGTERM, signal.SIGHUP):
-        running.send_signal(by)
+        os.killpg(running.pid, by) if all_of_them else running.send_signal(by)
         # What minds their resources, and has the same standard error, has nothing to tell of.
         assert (running.wait(), *running.communicate()) == (128 + by, "", "")
     else:
