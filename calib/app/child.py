@@ -26,6 +26,7 @@ with loading():
     from calib.job.proposal import Proposal
     from calib.job.propose import propose
     from calib.job.read import read_job, read_toml
+    from calib.job.schema import named_files
     from calib.measurement.formats.sheet import read_sheet, stacked
     from calib.measurement.raw import raw_table, split_title
     from calib.presentation.console import Steps
@@ -35,7 +36,6 @@ with loading():
 _TEXT = (".csv", ".tsv", ".txt", ".dat", ".asc", ".log")
 _TOUCHED, _MARKS, _FLANGE = "touched.csv", "marks.csv", "flange.urdf"
 _SHOWN_VALUES = 3
-_PATHS = ("urdf", "mesh_roots", "model", "lens_file", "file", "readings", "board")
 
 
 def look(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:
@@ -204,17 +204,9 @@ def _grid(found: Proposal, tables: Sequence[str]) -> list[dict[str, Any]]:
 
 def _refuse_outside() -> None:
     """Raise JobError for a job that names files elsewhere: a stranger's job reads what was dropped beside it alone."""
-    waiting: list[Any] = [read_job(Path(JOB)).model_dump()]
-    while waiting:
-        one = waiting.pop()
-        if isinstance(one, Mapping):
-            for key, value in one.items():
-                for name in (value if isinstance(value, (tuple, list)) else (value,)) if key in _PATHS else ():
-                    if isinstance(name, str) and (Path(name).is_absolute() or ".." in Path(name).parts):
-                        raise JobError(f"{JOB}: {key}: {shown(name)} is not in the folder of this page; drop the file.")
-            waiting += one.values()
-        elif isinstance(one, (tuple, list)):
-            waiting += one
+    for key, name in named_files(read_job(Path(JOB))):
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise JobError(f"{JOB}: {key}: {shown(name)} is not in the folder of this page; drop the file.")
 
 
 def tell(contents: Mapping[str, Any]) -> None:

@@ -218,6 +218,9 @@ AboutWords = Annotated[
 AboutDate = Annotated[str, BeforeValidator(_date)]
 Name = Annotated[str, AfterValidator(_not_empty)]
 Names = Annotated[tuple[Name, ...], BeforeValidator(at_most(MOST_NAMES))]
+# What is read: a file, or a folder of them. Nothing else in a job is a path.
+READ = "is read"
+FileName = Annotated[Name, READ]
 Place = Annotated[Quantity, PlainValidator(quantity("position, station, point"))]
 Position = Annotated[tuple[Place, Place, Place], BeforeValidator(list_of(3, "three lengths x, y, z"))]
 Acceleration = Annotated[Quantity, PlainValidator(quantity("gravity"))]

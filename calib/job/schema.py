@@ -1,5 +1,6 @@
 """The job file, schema 1: the sections that a user may write."""
 
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, create_model
@@ -9,7 +10,7 @@ from calib.foundations.ranges import COUNTS
 from calib.identification.losses import Loss
 from calib.identification.relations import RelationKind
 from calib.job import fields
-from calib.job.fields import Name, Names, Quantity, at_most, quantity
+from calib.job.fields import FileName, Name, Names, Quantity, at_most, quantity
 from calib.measurement.boards import SQUARE_SIGMA
 from calib.measurement.kinds import Kind
 from calib.measurement.lens import CENTRE, FOCAL, NAMES
@@ -76,11 +77,11 @@ class RobotSection(_Section):
     for what hangs on them.
     """
 
-    urdf: Name
+    urdf: FileName
     tip: str | None = None
     base: str | None = None
     links: Names = ()
-    mesh_roots: Annotated[tuple[Name, ...], AT_MOST["robot.mesh_roots"]] = ()
+    mesh_roots: Annotated[tuple[FileName, ...], AT_MOST["robot.mesh_roots"]] = ()
     gravity: fields.Gravity = _GRAVITY
     payload: PayloadSection | None = None
     coupling: Annotated[tuple[CouplingSection, ...], AT_MOST["robot.coupling"]] = ()
@@ -251,13 +252,13 @@ class InstrumentSection(_Section):
         "0 um"
     )
     station: fields.Position = _ORIGIN
-    model: Name | None = None
-    urdf: Name | None = None
+    model: FileName | None = None
+    urdf: FileName | None = None
     tip: Name | None = None
     setup: Name | None = None
     tool: Name | None = None
     point: fields.Position | None = None
-    pivot: Name | None = None
+    pivot: FileName | None = None
     camera_on: Annotated[Any, BeforeValidator(fields.camera_place)] = None
     fx: fields.FocalLength | None = None
     fy: fields.FocalLength | None = None
@@ -274,7 +275,7 @@ class InstrumentSection(_Section):
     lens: Annotated[Any, BeforeValidator(fields.free_of_lens)] = "given"
     lens_sigma: LensSigmaSection = LensSigmaSection()
     size: fields.Counts | None = None
-    lens_file: Name | None = None
+    lens_file: FileName | None = None
 
 
 class BoardSection(_Section):
@@ -333,8 +334,8 @@ class MeasurementsSection(_Section):
     ``board``: the board.toml of what a camera saw.
     """
 
-    file: Name
-    readings: Name | None = None
+    file: FileName
+    readings: FileName | None = None
     clock: Literal["free", "given"] | None = None
     clock_of: Name | None = None
     latency: Literal["free"] | None = None
@@ -343,7 +344,7 @@ class MeasurementsSection(_Section):
     sigma: fields.Sigma | None = None
     sigma_angle: fields.SigmaAngle | None = None
     instrument: str | None = None
-    board: Name | None = None
+    board: FileName | None = None
     tip: Name | None = None
     tool: Name | None = None
     setup: Name | None = None
@@ -378,3 +379,20 @@ class Job(_Section):
     relations: Annotated[tuple[RelationSection, ...], AT_MOST["relations"]] = ()
     levels: Annotated[tuple[LevelSection, ...], AT_MOST["levels"]] = ()
     measurements: Annotated[tuple[MeasurementsSection, ...], Field(min_length=1), AT_MOST["measurements"]]
+
+
+def named_files(section: BaseModel) -> Iterator[tuple[str, str]]:
+    """Give the key and the name of every file, and folder of files, that a job, or a section of one, has read."""
+    for key, field in type(section).model_fields.items():
+        value = getattr(section, key)
+        values = value.values() if isinstance(value, Mapping) else value if isinstance(value, tuple) else (value,)
+        for one in values:
+            if isinstance(one, BaseModel):
+                yield from named_files(one)
+            elif one is not None and _is_read(field.metadata, field.annotation):
+                yield key, one
+
+
+def _is_read(marks: Iterable[object], kind: Any) -> bool:
+    """Return whether a kind of value, with its marks, is that of a file, or holds such ones."""
+    return fields.READ in marks or any(_is_read(getattr(one, "__metadata__", ()), one) for one in get_args(kind))

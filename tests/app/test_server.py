@@ -284,6 +284,14 @@ HOSTILE = {
         },
         r"calibration\.toml: file: '/etc/passwd' is not in the folder of this page; drop the file\.",
     ),
+    "a pivot elsewhere": (
+        {
+            "j.toml": 'schema = 1\n[robot]\nurdf = "example:panda_description/urdf/panda.urdf"\n[error_model]\n'
+            'offsets = "all"\n[instruments.arm]\nkind = "arm"\nurdf = "arm.urdf"\ntip = "tip"\nsigma = "1 mm"\n'
+            'pivot = "/etc/passwd"\n[[measurements]]\nfile = "m.csv"\ninstrument = "arm"\n'
+        },
+        r"calibration\.toml: pivot: '/etc/passwd' is not in the folder of this page; drop the file\.",
+    ),
     "files above": (
         {
             "j.toml": 'schema = 1\n[robot]\nurdf = "../arm.urdf"\n[error_model]\noffsets = "all"\n'

@@ -11,6 +11,7 @@ import pytest
 
 from calib.foundations.errors import JobError
 from calib.job.read import parse_job, read_job
+from calib.job.schema import named_files
 from tests.support.cases import CASE, JOB
 
 FRAME: dict[str, Any] = {"position": ["1 mm", "2 cm", "-3 m"], "quaternion": [0.0, 1, 0, 0]}
@@ -163,3 +164,24 @@ def test_an_empty_list_and_blanks_are_no_names(section: dict[str, Any], sentence
     with pytest.raises(JobError) as caught:
         parse_job({**EVERYTHING, **section}, "job")
     assert str(caught.value) == f"job: {sentence}"
+
+
+def test_every_file_that_a_job_names_is_known() -> None:
+    """Where files of a stranger's job may be, the page of this computer asks of all of them."""
+    camera = {"kind": "camera", "camera_on": "tip", "sigma": "1 px", "lens_file": "lens.yaml", "size": [640, 480]}
+    instruments = {**EVERYTHING["instruments"], "camera": camera}
+    stream = {"file": "stream.csv", "readings": "joints.csv", "clock": "free", "sigma": "1 mm"}
+    seen = {"file": "marks.csv", "observes": "pixels", "instrument": "camera", "board": "board.toml"}
+    job = parse_job({**EVERYTHING, "instruments": instruments, "measurements": [stream, seen], "levels": []}, "job")
+    assert sorted(set(named_files(job))) == [
+        ("board", "board.toml"),
+        ("file", "marks.csv"),
+        ("file", "stream.csv"),
+        ("lens_file", "lens.yaml"),
+        ("mesh_roots", "meshes"),
+        ("model", "arm_results"),
+        ("pivot", "pivot.csv"),
+        ("readings", "joints.csv"),
+        ("urdf", "arm.urdf"),
+        ("urdf", "b.urdf"),
+    ]
