@@ -35,6 +35,9 @@ _TURN, _METRE = np.pi, 1.0
 _LONGEST_MESSAGE = 100_000
 _LARGEST_PAGE = 200_000_000
 _LARGEST_NUMBER = 1e6
+# As our own pages say of themselves; those in a folder may be of somebody else, and say nothing of it.
+_ONLY = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+_POLICY = f"{_ONLY}; script-src 'unsafe-inline'; img-src data: blob:; connect-src 'self'"
 
 
 def serve(
@@ -52,7 +55,7 @@ def serve(
     open_inside(folder, page, OutputError, _LARGEST_PAGE).close()
 
     async def run() -> None:
-        await _run(folder, model, seen, (page, *others), port, started)
+        await _run(folder, model, seen, page, others, port, started)
 
     return run
 
@@ -61,7 +64,8 @@ async def _run(
     folder: Path,
     model: CalibratedMachine,
     seen: tuple[int, int, int] | None,
-    pages: tuple[str, ...],
+    page: str,
+    others: tuple[str, ...],
     port: int,
     started: Callable[[str], None],
 ) -> None:
@@ -80,8 +84,9 @@ async def _run(
             while time.monotonic() < until:
                 try:
                     with reading_folder(folder, patience=0.0):
-                        page = open_inside(folder, name or pages[0], OutputError, _LARGEST_PAGE)
-                    await self.send(page, _LARGEST_PAGE)
+                        opened = open_inside(folder, name or page, OutputError, _LARGEST_PAGE)
+                    self.set_header("Content-Security-Policy", _ONLY if name in others else _POLICY)
+                    await self.send(opened, _LARGEST_PAGE)
                     return
                 except KeptError:
                     await asyncio.sleep(_AGAIN)
@@ -116,7 +121,7 @@ async def _run(
         def on_close(self) -> None:
             pages_open.discard(self)
 
-    names = "|".join(map(_literally, pages))
+    names = "|".join(map(_literally, (page, *others)))
     routes = [(rf"/({names})?", Page), ("/live", Live)]
     async with listening(routes, port, websocket_max_message_size=_LONGEST_MESSAGE) as address:
         started(address)
@@ -129,7 +134,7 @@ async def _run(
                         model, seen = load_machine(folder), now
                 except CalibError:  # half way through an exchange; the next look finds it
                     continue
-                telling = [asyncio.create_task(page.tell({"reload": True})) for page in pages_open]
+                telling = [asyncio.create_task(one.tell({"reload": True})) for one in pages_open]
                 if telling:  # who does not read is not waited for
                     await asyncio.wait(telling, timeout=_EVERY)
 

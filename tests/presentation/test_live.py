@@ -95,6 +95,25 @@ def test_it_listens_on_this_machine_alone_and_ends_well(server: tuple[subprocess
     assert process.returncode == 0
 
 
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on the path")
+def test_a_page_of_somebody_else_asks_no_other_server(server: tuple[subprocess.Popen[str], str], out: Path) -> None:
+    """A folder of results may be a stranger's, and its pages then say nothing of what they may do."""
+    _, address = server
+    with socket.create_server(("127.0.0.1", 0)) as other, browser() as page:
+        elsewhere = f"http://127.0.0.1:{other.getsockname()[1]}/"
+        asking = f"fetch('{elsewhere}').then(() => 'asked', () => 'refused').then(said => {{ document.title = said }})"
+        text = f'<!DOCTYPE html><title>safe</title><script>{asking}</script><script src="{elsewhere}s.js"></script>'
+        for name in ("scene.html", "report.html"):
+            (out / name).write_text(text)
+        page.open(address)
+        page.wait_for("document.title === 'refused'")  # a scene is drawn by its script
+        page.open(address + "report.html")
+        assert page.evaluate("document.title") == "safe"
+        other.setblocking(False)
+        with pytest.raises(BlockingIOError):  # nobody has come
+            other.accept()
+
+
 def test_who_reads_slowly_has_no_copy_of_the_page(server: tuple[subprocess.Popen[str], str], out: Path) -> None:
     """Twelve that asked for a page of 199 MB and did not read it took 2.4 GB."""
     process, address = server
