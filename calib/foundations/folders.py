@@ -167,16 +167,27 @@ def refuse_unwritable(path: Path) -> None:
 
 
 def refuse_kept(path: Path) -> None:
-    """Raise OutputError for a folder of another user that only this one may move away, as in ``/tmp``."""
+    """Raise OutputError for a folder, or one with files, of another user that only this one may move away."""
     with _telling(path, "cannot hold the results"):
         if not path.exists():
             return
         above, own = path.parent.stat(), path.stat()
-        if above.st_mode & stat.S_ISVTX and os.geteuid() not in (0, own.st_uid, above.st_uid):
+        if _is_kept(own, above):
             raise OutputError(
                 f"{path}: belongs to another user, and in {path.parent} (sticky) nobody else may replace it; "
                 "choose another folder."
             )
+        for entry in path.iterdir():
+            if _is_kept(entry.lstat(), own):
+                raise OutputError(
+                    f"{path}: holds {entry.name!r} of another user, and in it (sticky) nobody else may replace that; "
+                    "choose another folder."
+                )
+
+
+def _is_kept(one: os.stat_result, folder: os.stat_result) -> bool:
+    """Return whether a folder is one, as ``/tmp`` is, in which this user may not move or remove what another has."""
+    return bool(folder.st_mode & stat.S_ISVTX) and os.geteuid() not in (0, one.st_uid, folder.st_uid)
 
 
 @contextlib.contextmanager

@@ -383,6 +383,19 @@ def test_out_of_another_user_where_nobody_else_may_replace_it(folder: Path, monk
     refused(folder, "shared/out", f"{out}: {why}")
 
 
+def test_out_with_files_of_another_user_that_nobody_else_may_remove(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They would have stayed for ever in a hidden folder that their user cannot enter."""
+    out = folder / "out"
+    out.mkdir(mode=0o777)
+    out.chmod(0o1777)
+    (out / "result.json").write_text("{}")
+    monkeypatch.setattr(os, "geteuid", lambda: out.stat().st_uid + 1)
+    why = "of another user, and in it (sticky) nobody else may replace that; choose another folder."
+    refused(folder, "out", f"{out}: holds 'result.json' {why}")
+
+
 def test_out_where_the_system_says_read_only(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != folder)
     refused(folder, "a/out", f"{folder}/a/out: cannot be written, as {folder} is read-only.")
