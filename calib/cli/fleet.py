@@ -29,12 +29,12 @@ def fleet(
     same command continues. Exit codes: 0 good, 1 a job failed, 2 wrong usage, 3 a job is not to be trusted.
     """
     with loading():
-        from calib.foundations.folders import made_folder
+        from calib.foundations.folders import made_folder, real_folder
         from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, fleet_jobs, quieten_dask, run_fleet
         from calib.job.fleet_summary import fleet_lines, summary, write_summary
         from calib.presentation.console import show_error, warning
         from calib.presentation.fleet_tables import fleet_sentence, fleet_sheet
-    chosen = fleet_jobs(jobs, out)
+    meant, chosen = real_folder(out), fleet_jobs(jobs, out)
     if dask is not None:
         quieten_dask()
     try:
@@ -42,7 +42,7 @@ def fleet(
             with telling.progress(len(chosen), alike=True) as say:
                 finished = run_fleet(chosen, workers, dask, say, again=again)
             lines = fleet_lines(finished)
-            write_summary(lines, out)
+            write_summary(lines, out, meant)
     except KeyboardInterrupt:
         show_error("interrupted; what is finished is kept, and the same command goes on with the rest.")
         raise typer.Exit(INTERRUPTED) from None

@@ -146,6 +146,18 @@ def real_folder(path: Path) -> Path:
         return path.resolve()
 
 
+def still_meant(path: Path, meant: Path | None) -> Path:
+    """Return the folder that is meant by a path, as :func:`real_folder`.
+
+    ``meant``: to what it led when the work began. Raises OutputError where it leads elsewhere now: that folder was
+    never asked for.
+    """
+    found = real_folder(path)
+    if meant not in (None, found):
+        raise OutputError(f"{path}: leads to {found} now, and led to {meant} when the work began; run it again.")
+    return found
+
+
 def refuse_unwritable(path: Path) -> None:
     """Raise OutputError for a folder that cannot be made or written; what only the attempt shows, the attempt tells."""
     with _telling(path, "cannot hold the results"):

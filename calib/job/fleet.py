@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from multiprocessing import resource_tracker
 from pathlib import Path
 from types import FrameType
@@ -55,11 +55,15 @@ SUMMARIES = (SUMMARY_JSON, SUMMARY_CSV, PAGE)
 
 @dataclass(frozen=True, slots=True)
 class FleetJob:
-    """A job of a fleet: its file, what it is called, and the folder that its results belong in."""
+    """A job of a fleet: its file, what it is called, and the folder that its results belong in.
+
+    ``meant``: to what that folder led when the fleet began; None where the machine that it runs on says so.
+    """
 
     path: Path
     name: str
     out: Path
+    meant: Path | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +87,7 @@ def fleet_jobs(paths: Sequence[Path], out: Path) -> tuple[FleetJob, ...]:
     ``ur10`` and ``ur10_fast``. Raises JobError when a job has no usable name or two would be written to one folder,
     OutputError when ``out`` cannot take the summary, or has a link where a folder of results belongs.
     """
+    own = real_folder(out)
     found: dict[str, FleetJob] = {name: FleetJob(out / name, name, out / name) for name in SUMMARIES}
     for path in paths:
         name = path.stem
@@ -97,7 +102,7 @@ def fleet_jobs(paths: Sequence[Path], out: Path) -> tuple[FleetJob, ...]:
             raise JobError(f"{path}: is named twice; name every job once.")
         if key in found:
             raise JobError(f"{found[key].path} and {path}: both would be written to {out / name}; rename one of them.")
-        found[key] = FleetJob(path, name, out / name)
+        found[key] = FleetJob(path, name, out / name, own / name)
     _refuse_fleet(out)
     jobs = tuple(found.values())[len(SUMMARIES) :]
     for job in jobs:
@@ -113,7 +118,6 @@ def _refuse_link(job: FleetJob) -> None:
 
 def _refuse_fleet(out: Path) -> None:
     """Refuse a folder that is none, is read-only, or in which the summary would take the place of somebody's file."""
-    real_folder(out)
     refuse_unwritable(out)
     if os.path.lexists(out / RESULT_FILE):
         raise OutputError(f"{out}: holds the results of one job, which nothing else may be in; choose another folder.")
@@ -247,8 +251,8 @@ def _one(job: FleetJob, folder: str) -> Done:
     try:
         _refuse_link(job)
         # Nor may it become a link from now on.
-        own = real_folder(job.out.parent) / job.out.name
-        found, _ = calibrated(job.path, job.out, lambda _: None, lambda _: None, meant=own)
+        meant = job.meant or real_folder(job.out.parent) / job.out.name
+        found, _ = calibrated(job.path, job.out, lambda _: None, lambda _: None, meant=meant)
     except CalibError as e:
         return Done(job, str(e))
     except Exception as e:  # noqa: BLE001 - a fault of this program in one job is not to cost the others
@@ -260,6 +264,7 @@ def _one(job: FleetJob, folder: str) -> Done:
 
 def _on_worker(job: FleetJob, folder: str, version: str) -> Done:
     """Calibrate one job on a worker of a cluster, which has to be of the ``version`` that asks it to."""
+    job = replace(job, meant=None)  # the same folder may have another name there
     if version != __version__:
         return Done(
             job, f"{job.path}: its worker has version {__version__} of this tool, not {version}; install it there."

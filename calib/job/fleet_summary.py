@@ -11,6 +11,7 @@ from typing import Any
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
+from calib.foundations.folders import still_meant
 from calib.foundations.json_text import document
 from calib.foundations.words import harmless
 from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, Done, refuse_other_summary
@@ -82,11 +83,13 @@ def summary_csv(lines: Sequence[JobLine]) -> str:
     return harmless(csv_text(rows))
 
 
-def write_summary(lines: Sequence[JobLine], out: Path) -> None:
+def write_summary(lines: Sequence[JobLine], out: Path, meant: Path | None = None) -> None:
     """Write the page and both summaries of a fleet into its folder.
 
-    Raises OutputError as ``write_atomically`` does, and where a file of somebody else has come to be there.
+    ``meant``: to what that led when the fleet began. Raises OutputError as ``write_atomically`` does, where it leads
+    elsewhere now, and where a file of somebody else has come to be there.
     """
+    still_meant(out, meant)
     refuse_other_summary(out)
     for name, contents in (
         (SUMMARY_JSON, document(summary(lines))),

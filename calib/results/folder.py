@@ -16,7 +16,14 @@ from calib.foundations.arrays import Array
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes, sentences
-from calib.foundations.folders import reading_folder, real_folder, refuse_kept, refuse_unwritable, write_folder
+from calib.foundations.folders import (
+    reading_folder,
+    real_folder,
+    refuse_kept,
+    refuse_unwritable,
+    still_meant,
+    write_folder,
+)
 from calib.foundations.json_text import NotJsonError, document, parse_json
 from calib.foundations.units import DEG, MM
 from calib.foundations.words import harmless
@@ -127,9 +134,7 @@ def write_results(
     ``meant``: to what ``out`` led when the work began, by :func:`refuse_folder`. Raises OutputError where it leads
     elsewhere now: that folder was never asked for.
     """
-    given, out = out, real_folder(out)  # a link stays a link: what it points to is replaced
-    if meant not in (None, out):
-        raise OutputError(f"{given}: leads to {out} now, and led to {meant} when the work began; run it again.")
+    out = still_meant(out, meant)  # a link stays a link: what it points to is replaced
     refuse_folder(out, found.origin.files)
     progress("writing the calibrated URDF")
     machine = machine_files(found.machine)

@@ -235,6 +235,21 @@ def test_a_folder_of_a_job_that_is_a_link_is_not_followed(folder: Path, monkeypa
     assert tree(folder / "precious") == before
 
 
+def test_a_fleet_whose_folder_leads_elsewhere_meanwhile_writes_nothing_there(folder: Path) -> None:
+    (folder / "all").mkdir()
+    (job,) = fleet_jobs([Path("jobs/plain.toml")], Path("all"))
+    assert run("calibrate", "jobs/fewer.toml", "-o", "precious/plain", "-q").code == 0
+    before = tree(folder / "precious")
+    (folder / "all").rmdir()
+    (folder / "all").symlink_to("precious")
+    led = "{0}: leads to {1}/precious{2} now, and led to {1}/{0} when the work began; run it again."
+    assert fleets._one(job, str(folder)).failure == led.format("all/plain", folder, "/plain")
+    with pytest.raises(OutputError) as told:
+        write_summary([], Path("all"), folder / "all")
+    assert str(told.value) == led.format("all", folder, "")
+    assert tree(folder / "precious") == before
+
+
 def test_results_that_another_run_has_put_in_their_place_are_not_told_as_those_of_a_job(folder: Path) -> None:
     (job,) = fleet_jobs([Path("jobs/plain.toml")], Path("all"))
     why = f"{job.out}: holds the results of other inputs, which another run has written there meanwhile."
