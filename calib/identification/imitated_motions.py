@@ -12,9 +12,10 @@ from calib.foundations.arrays import Array, IntArray, read_only
 from calib.identification.machine import Frames
 from calib.identification.observations.seen import Moved
 from calib.identification.parameters import Parameter, scales
-from calib.identification.set_up_motions import TOUCHES, Motions, unknown_length
+from calib.identification.set_up_motions import Motions, unknown_length
 from calib.identification.targets import Shape, shape_of
 from calib.identification.unmeasured import Unmeasured
+from calib.measurement.kinds import TOUCHES
 from calib.measurement.measurements import Measurements
 
 # Two ways to move every tool are the same when they differ by less than this share.

@@ -20,13 +20,11 @@ from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array
 from calib.identification.relations import Relation
 from calib.identification.targets import Target, shapes
-from calib.measurement.kinds import IN_INSTRUMENT_FRAME
+from calib.measurement.kinds import IN_INSTRUMENT_FRAME, TOUCHES
 from calib.measurement.measurements import Measurements, numbered
 
 # Known places, in m, and directions agree within this.
 _AGREE = 1e-9
-# Of what is touched the residual is how far the tool is from where all touches are.
-TOUCHES = ("socket", "plane", "sphere")
 
 
 class Motions(NamedTuple):

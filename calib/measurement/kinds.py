@@ -39,6 +39,8 @@ UNIT_OF: Mapping[str, Literal["m", "rad", "px"]] = MappingProxyType(
 WITH_TARGET: frozenset[Kind] = frozenset(("socket", "distance", "plane", "sphere", "indicator", "pixels"))
 # Kinds that say where the tool was in the frame of an instrument, which is not the robot's base.
 IN_INSTRUMENT_FRAME: frozenset[Kind] = frozenset(("position", "pose"))
+# Kinds without a number of an instrument: the residual is how far the tool is from where all touches are.
+TOUCHES: frozenset[Kind] = frozenset(("socket", "plane", "sphere"))
 
 
 def size(kind: Kind) -> int:

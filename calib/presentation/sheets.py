@@ -11,7 +11,7 @@ from calib.assessment.metrics import Metrics
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.units import DISPLAY, MICRO, MM, MRAD, Display
 from calib.foundations.words import counted
-from calib.measurement.kinds import UNIT_OF, size
+from calib.measurement.kinds import TOUCHES, UNIT_OF, size
 from calib.presentation.report.document import Row, Sheet
 from calib.robot.terms import KINDS
 
@@ -233,13 +233,16 @@ def rank_sentences(fit: "Fit") -> tuple[str, ...]:
     }[fit.policy]
     if any(parameter.prior is not None for parameter in fit.parameters):
         done = f"where priors do not decide, {done}"
+    alike = "No prediction at poses like these depends on it."
+    touched = {name for data in fit.measurements for name in data.seen_targets if data.kind in TOUCHES}
+    if all(data.kind in TOUCHES for data in fit.measurements) and touched.isdisjoint(fit.model.targets):
+        alike = "All equal fits predict alike what was touched, but not where the tool is."
     weak_rank = fit.rank - fit.numerical_rank
     too_weak = f", {weak_rank} of them too weakly to use" if weak_rank > 0 else ""
     return (
         f"The data determine {counted(fit.rank, 'combination')} of {counted(len(fit.parameters) + held, 'parameter')}"
         f"{too_weak}. "
-        f"The null space has {counted(size, 'direction')}: {done}. "
-        f"No prediction at poses like these depends on it.",
+        f"The null space has {counted(size, 'direction')}: {done}. {alike}",
         *named,
     )
 

@@ -15,6 +15,7 @@ from calib.assessment.influence import Residue
 from calib.assessment.stretches import stretches
 from calib.identification.observability import rank_findings
 from calib.identification.relations import Relation
+from calib.presentation.sheets import rank_sentences
 from tests.support import machines
 from tests.support.machines import Array
 from tests.support.touching import UR10, Lab, lab, unit
@@ -106,6 +107,14 @@ def test_what_must_not_change(arm: tuple[str, str]) -> None:
     q = made.draw(50)
     ours, theirs = (machines.predicted(fit, q)[:, :3, 3] for fit in (once, again))
     np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=2e-7)
+
+
+def test_what_is_not_told_of_touched_targets_is_said() -> None:
+    """Without an instrument equal fits differ in where the tool is, which must not be said to be predicted."""
+    made = lab(2, noise=NOISE, arm=UR10)
+    said = " ".join(rank_sentences(fitted(made, sockets(made)[0])))
+    assert "All equal fits predict alike what was touched, but not where the tool is." in said
+    assert "No prediction at poses like these" in " ".join(rank_sentences(fitted(made, made.positions(30))))
 
 
 def test_strains_that_are_well_told_stay_in() -> None:
