@@ -116,8 +116,7 @@ def server() -> Iterator[Server]:
     served = Server()
     yield served
     if served.process.poll() is None:
-        served.process.kill()
-        served.process.communicate()
+        served.end(signal.SIGTERM)  # its folder goes with it
 
 
 @pytest.fixture
