@@ -31,9 +31,10 @@ _LAST_STEP = 1e-9
 _NEGLIGIBLE = 1e-14
 # Passive joints that are found nearer than this, in rad or m, to where the search began, are on the branch meant.
 _NEAR = 0.5
-# The way from home to far readings: its first stretch, as a share; the shortest, and that to rows which nothing closed
-# before, as most cannot be; so many of Newton's steps in one.
-_FIRST_STRETCH, _LEAST_STRETCH, _LEAST_OF_OPEN, _STEPS_OF_ONE = 0.5, 1.0 / 64.0, 1.0 / 8.0, 8
+# The way from home to far readings: its first stretch, as a share, and the shortest; so many of Newton's steps in one.
+_FIRST_STRETCH, _LEAST_STRETCH, _STEPS_OF_ONE = 0.5, 1.0 / 64.0, 8
+_NO_REACH = "cannot close: its links do not reach"
+_NO_HOME = "cannot close: its links do not reach, or its passive joints are far from where their <mimic>, or zero, is"
 # Smallest singular value of the closure, in m/rad or per unit: below it a pose is at a dead centre.
 _SINGULAR = 1e-6
 
@@ -113,7 +114,8 @@ class Closure:
         """
         q, dead, open_ = self._sought(q)
         self._refuse(dead, "is at a dead centre: its joints may go two ways")
-        self._refuse(open_, "cannot close: its links do not reach")
+        # Without a home, nothing but the search from where the coupling puts the passive joints has been tried.
+        self._refuse(open_, _NO_REACH if self._home is not None else _NO_HOME)
         return q
 
     def closes(self, q: Array) -> BoolArray:
@@ -129,8 +131,7 @@ class Closure:
         found, dead, open_ = self._from(q)
         far = np.flatnonzero(dead | open_ | (self._change(found, q) > _NEAR))
         if len(far) and self._home is not None:
-            least = np.where((dead | open_)[far], _LEAST_OF_OPEN, _LEAST_STRETCH)
-            reached, there = self._along(self._home, q[far], least)
+            reached, there = self._along(self._home, q[far])
             rows = far[there]
             found[rows], dead[rows], open_[rows] = reached[there], False, False
         return found, dead, open_
@@ -148,15 +149,15 @@ class Closure:
         """Return how far (N,) the passive joints of found (N, nj) are from those of q."""
         return np.asarray(np.max(np.abs((found - q)[:, self._passive]), axis=1, initial=0.0))
 
-    def _along(self, home: tuple[Array, Array], q: Array, least: Array) -> tuple[Array, BoolArray]:
+    def _along(self, home: tuple[Array, Array], q: Array) -> tuple[Array, BoolArray]:
         """Return joint positions (N, nj) on the branch of home, and which rows (N,) are reached.
 
-        ``home``: joint positions (nj) as the coupling puts them, and closed. ``least`` (N,): shortest stretches.
+        ``home``: joint positions (nj) as the coupling puts them, and closed.
         """
         whole = q - home[0]
         at, gone, stretch = np.tile(home[1], (len(q), 1)), np.zeros(len(q)), np.full(len(q), _FIRST_STRETCH)
         side = np.sign(self._turning(home[1][None]))
-        while len(going := np.flatnonzero((gone < 1.0) & (stretch >= least))):
+        while len(going := np.flatnonzero((gone < 1.0) & (stretch >= _LEAST_STRETCH))):
             ahead = np.minimum(1.0, gone[going] + stretch[going])
             start = home[0] + ahead[:, None] * whole[going]
             start[:, self._passive] = (at[going] + (ahead - gone[going])[:, None] * whole[going])[:, self._passive]
