@@ -50,7 +50,9 @@ _MOST_BITS = 1024
 _LISTED = 12
 # What a plain number is made of; of these, float() takes only plain numbers.
 _PLAIN = b"0123456789.+-eE"
-_TITLE = re.compile(r"([^\[\]]*)(?:\[([^\[\]]*)\])?")
+# What is in brackets at the end is the unit; names may have brackets too, as `finger[0]`.
+_TITLE = re.compile(r"((?:[^\[\]]|\[[^\[\]]*\])*?)(?:\[([^\[\]]*)\])?")
+_IN_BRACKETS = re.compile(r"\[([^\[\]]*)\]")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -417,7 +419,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 def _split(title: str) -> tuple[str, str | None]:
     match = _TITLE.fullmatch(title.strip())
-    if match is None:
+    # Two units behind one name are one too many; "1", the unit of plain numbers, is rather a number of the name.
+    if match is None or any(symbol_of(word) not in (None, "1") for word in _IN_BRACKETS.findall(match[1])):
         raise HeaderError(f"the header {shown(title)} is not a name with a unit, like 'x [mm]'")
     name, unit = match[1].strip(), None if match[2] is None else match[2].strip()
     if not name:

@@ -320,6 +320,18 @@ def test_a_long_table_is_read(tmp_path: Path) -> None:
     assert len(read_table(path)) == 20_000
 
 
+def test_names_may_have_brackets(tmp_path: Path) -> None:
+    """As joints of models that number their fingers: what is in the last brackets is the unit."""
+    file = tmp_path / "table.csv"
+    file.write_text("finger[0] [deg],[a-c]? [mm],b[1]x[2][m]\n180,2,3\n", encoding="utf-8")
+    table = read_table(file)
+    assert list(table.columns) == ["finger[0]", "[a-c]?", "b[1]x[2]"]
+    start = time.process_time()
+    with pytest.raises(MeasurementError):
+        _split("[a]" * 200_000 + "[")
+    assert time.process_time() - start < 5.0
+
+
 def test_headers_of_blanks_are_read_at_once(tmp_path: Path) -> None:
     """An expression whose parts share characters would take hours of these."""
     blanks = " " * 45_000
