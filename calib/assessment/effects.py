@@ -34,6 +34,9 @@ _LEAST_BLOCKS = 8
 _FORGOTTEN = 0.1
 # Directions of whose square the parameters leave less than this share are theirs.
 _TAKEN = 1e-7
+# The same of axes of unequal length. Points nearly in a plane leave 1e-5 of those across it: by a machine that leaves
+# something out, these then seem unequal by any amount. Where axes can be told they left about 1e-3 or more.
+_AXES_TAKEN = 1e-4
 # Widths of weak priors of the robot's parameters by which no change of anything else changes them.
 _FARTHEST = 3.0
 # No motion that is fitted enlarges the whitened sum of squares; priors let it grow by less than this.
@@ -305,14 +308,15 @@ class Score(NamedTuple):
     sizes: Array
 
 
-def score_test(A: Array, S: Array, g: Array, C: Array, widths: Array | None = None) -> Score:
+def score_test(A: Array, S: Array, g: Array, C: Array, widths: Array | None = None, *, taken: float = _TAKEN) -> Score:
     """Return the score test of directions D: of A = D^T D (..., k, k), S = D^T J (..., k, p) and g = D^T r (..., k).
 
+    Directions of whose square the parameters leave less than the share ``taken`` are theirs.
     ``widths`` (m,): how far the first m parameters may be from what was found, as far as is known before anything is
     measured. Directions by which they would go farther are none: what only a shrunk machine explains is noise.
     """
     values, V = np.linalg.eigh(A - S @ C @ np.swapaxes(S, -1, -2))
-    kept = values > _TAKEN * np.trace(A, axis1=-2, axis2=-1)[..., None] / A.shape[-1]
+    kept = values > taken * np.trace(A, axis1=-2, axis2=-1)[..., None] / A.shape[-1]
     u = np.einsum("...ij,...i->...j", V, g)
     weighed = np.where(kept, u / np.where(kept, values, 1.0), 0.0)
     if widths is not None:
@@ -324,11 +328,11 @@ def score_test(A: Array, S: Array, g: Array, C: Array, widths: Array | None = No
     )
 
 
-def _score_of(D: Array, part: Stretch, C: Array) -> tuple[Score, Array]:
+def _score_of(D: Array, part: Stretch, C: Array, *, taken: float = _TAKEN) -> tuple[Score, Array]:
     """Return the score test of directions D (n d, k) of a part alone, and what they change in it (n, d)."""
     J = part.J.reshape(part.r.size, -1)
     S = D.T @ J
-    score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C, part.widths)
+    score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C, part.widths, taken=taken)
     return score, ((D - J @ (C @ S.T)) @ score.sizes).reshape(part.r.shape)
 
 
@@ -435,7 +439,7 @@ def strains(parts: Sequence[Stretch], C: Array) -> tuple[Strain, ...]:
         x = part.data.position[rows]
         moved = np.einsum("sij,nj->nis", _STRAINS, x - x.mean(axis=0))
         D = (part.by_base[:, :, :3] @ moved).reshape(part.r.size, -1)
-        score, shift = _score_of(D, part, C)
+        score, shift = _score_of(D, part, C, taken=_AXES_TAKEN)
         rest = part.r + shift
         variance = _scatter(rest, part)
         lengths = np.linalg.eigvalsh(np.einsum("sij,s->ij", _STRAINS, score.sizes))
