@@ -37,6 +37,9 @@ _TAKEN = 1e-7
 # The same of axes of unequal length. Points nearly in a plane leave 1e-5 of those across it: by a machine that leaves
 # something out, these then seem unequal by any amount. Where axes can be told they left about 1e-3 or more.
 _AXES_TAKEN = 1e-4
+# Rows that remember more than so many others are a smooth path; rows beside a place that show a change there, and what
+# share of it.
+_SMOOTH, _FEW_ROWS, _AT_ONCE = 1.0, 4, 0.75
 # Widths of weak priors of the robot's parameters by which no change of anything else changes them.
 _FARTHEST = 3.0
 # No motion that is fitted enlarges the whitened sum of squares; priors let it grow by less than this.
@@ -598,10 +601,29 @@ def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step 
     D = np.concatenate([Z[:place], np.zeros_like(Z[place:])]) @ score.sizes
     rest = part.r + D - (J @ (C @ (J.T @ D.ravel()))).reshape(n, d)
     size = float(np.sqrt(float(score.gain) / _scatter(rest, part) / (place * (n - place) / n)))
+    unsure, slowly = int(np.diff(places).max(initial=1)), part.data.position is not None and memory([part.r]) > _SMOOTH
+    # Of positions what comes little by little is a drift, which is judged as one.
+    if slowly and not _at_once(part.r, Z @ score.sizes, place, unsure):
+        return None
     chance = min(1.0, _chance(score, rest, part) * len(places) * things)
     # The rows were thinned, maybe: their numbers are those of the whole set.
     line = int(part.data.lines[int(part.row[place - 1])])
     return Step(what, part.data.where, line, size, chance, _parted(part, place), part.data.kind == "pixels")
+
+
+def _at_once(r: Array, D: Array, place: int, unsure: int) -> bool:
+    """Return whether rows r (n, d) change by D (n, d) from one row to the next near a place, not little by little.
+
+    Along a smooth path, what gears do to the last rows is like a change, but comes in the course of many. ``unsure``:
+    by how many rows the place may be off.
+    """
+    few = max(_FEW_ROWS, unsure // 2)
+    along, of = (np.append(0.0, np.cumsum(np.sum(A * D, axis=1))) for A in (-r, D))
+    middle = np.arange(max(place - unsure, few), min(place + unsure, len(r) - few) + 1)
+    before, after = (
+        (along[middle + b] - along[middle + a]) / (of[middle + b] - of[middle + a]) for a, b in ((-few, 0), (0, few))
+    )
+    return bool(np.max(before - after, initial=0.0) > _AT_ONCE)
 
 
 def _parted(part: Stretch, place: int) -> str:
