@@ -223,7 +223,7 @@ class Residue:
             return none, none
         x = values_at(self.fit.model.robot, self.fit.parameters, self.fit.machine.frames, self.fit.machine.deviations)
         sigmas = weights.sigmas_of(problem, self.fit.variances, self.fit.residuals)
-        A, B = without_rows(problem, sigmas, x, self.split)[1].strains_at_solution
+        A, B = without_rows(problem, sigmas, x, self.split)[1].strains_beside_exact
         own = self.covariance.follow @ A
         return self.split.whole(A, own), self.split.whole(B, np.zeros_like(own))
 

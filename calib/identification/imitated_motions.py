@@ -5,9 +5,8 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from calib.foundations import linear
+from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.identification.machine import Frames
 from calib.identification.observations.seen import Moved
@@ -25,12 +24,12 @@ _SEEN_OF: Mapping[Shape, slice] = {"point": slice(0, 3), "plane": slice(2, 5), "
 # A motion is imitated clearly by more than this share of a radian, or of the robot's reach; and it moves what is
 # touched clearly where what is left of touches is less than this share.
 _CLEARLY = 0.1
-# The unit in which what a link carries is shifted, in m: as large as errors of a machine.
+# The unit in which things are shifted, in m, and turned, in rad: as large as errors of a machine.
 _SHIFT = 1e-3
 # A length, in m, or a direction that is none.
 _NONE = 1e-9
-# Of a strain that is not taken out the bias is at most one over the root of this, in standard errors; or one over that.
-_HARDLY, _BY_LITTLE = 4.0, 1e3
+# The data tell nothing of a strain of which they tell less than by so many numbers that it shrinks.
+_NOTHING = 4.0
 # Where these are strained the tool goes along; a ball that is strained is none.
 _FOLLOWED = ("socket", "plane")
 # Symmetric strains, orthonormal: growing first, then those that change no volume.
@@ -73,9 +72,9 @@ class SetUpMotions:
         self._of_targets = np.array([parameter.nuisance for parameter in parameters], dtype=np.bool_)
         self._lengths = np.array([parameter.unit == "m" for parameter in parameters], dtype=np.bool_)
         self._strains = _STRAINS if motions.strained else _STRAINS[:0]
-        self._triangle = np.empty((0, len(parameters) + self._count + 3 * self._shifts))
-        # Of touches: how many numbers, and how much strains shrink such numbers of noise, and these.
-        self._touched, (self._shrinking, self._shrunk) = 0, np.zeros((2, len(self._strains), len(self._strains)))
+        self._triangle = np.empty((0, len(parameters) + self._count + self._rigid))
+        # By how much strains shrink the numbers of touches, their squares where they are noise, and as they are.
+        self._shorter, (self._shrinking, self._shrunk) = np.zeros(n := len(self._strains)), np.zeros((2, n, n))
 
     @property
     def _count(self) -> int:
@@ -87,15 +86,15 @@ class SetUpMotions:
         return slice(self._count - len(self._strains), self._count)
 
     @property
-    def _shifts(self) -> int:
-        """Return how many things are shifted with a motion: what each link carries, and all that is strained."""
-        return len(self._motions.shifted) + bool(self._motions.strained)
+    def _rigid(self) -> int:
+        """Return how many columns, behind the motions, shift what links carry, and shift and turn what is strained."""
+        return 3 * len(self._motions.shifted) + 6 * bool(self._motions.strained)
 
     def _shift_of(self, link: str | None) -> slice:
-        """Return which columns, behind the parameters, shift what a link carries; None: all that is strained."""
+        """Return which columns, behind the parameters, shift what a link carries; None: shift and turn the strained."""
         shifted = self._motions.shifted
         first = self._count + 3 * (len(shifted) if link is None else shifted.index(link))
-        return slice(first, first + 3)
+        return slice(first, first + (6 if link is None else 3))
 
     def _moved(self, x: Array, link: str | None) -> Array:
         """Return how points (n, 3) on a link, None being the floor, move (n, 3, k): turned, growing, and strained."""
@@ -104,6 +103,11 @@ class SetUpMotions:
         turned = np.cross(turns.T[None], away[:, None]).swapaxes(-1, -2)
         strained = np.moveaxis(away @ self._strains, 0, -1)
         return np.concatenate([turned, *[away[:, :, None]] * self._motions.grows, strained], axis=2)
+
+    def _moved_rigidly(self, x: Array) -> Array:
+        """Return how points (n, 3) that are strained move (n, 3, 6) when all of them are shifted, and turned."""
+        turned = -rigid.skew(x - self._motions.about)
+        return np.asarray(_SHIFT * np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2))
 
     def add(
         self,
@@ -118,7 +122,7 @@ class SetUpMotions:
         ``moved``: tools, and other ends. ``grounds``: which rows are told in which link, None being the floor.
         ``of``: of which set, which of its rows, and what is left of them (n, d).
         """
-        changed = np.zeros((*J.shape[:2], self._count + 3 * self._shifts))
+        changed = np.zeros((*J.shape[:2], self._count + self._rigid))
         for one in moved:
             by_shift, by_turn = one.by_motion
             for link, own in grounds:
@@ -147,11 +151,11 @@ class SetUpMotions:
         where = (tool.placed if data.kind in _FOLLOWED else self._targets[targets])[follow, :3, 3]
         by_shift = tool.by_motion[0][follow]
         changed[follow, :, self._strain] = by_shift @ self._moved(where, None)[:, :, self._strain]
-        changed[follow, :, self._shift_of(None)] = by_shift * _SHIFT
+        changed[follow, :, self._shift_of(None)] = by_shift @ self._moved_rigidly(where)
         if data.kind in TOUCHES:
             shrunk = by_shift[:, None] @ self._strains @ by_shift[:, None].swapaxes(-1, -2)
             of_these = shrunk @ r[follow, None, :, None]
-            self._touched += r[follow].size
+            self._shorter += np.einsum("nsaa->s", shrunk)
             self._shrinking += np.einsum("nsab,ntab->st", shrunk, shrunk)
             self._shrunk += np.einsum("nsab,ntab->st", of_these, of_these)
 
@@ -186,28 +190,31 @@ class SetUpMotions:
         ):
             seen = np.linalg.norm(C[:, some], axis=0).max(initial=0.0)
             V = _small(left[:, some], _SAME * seen)
-            kept.append(V @ _large(sizes[shown, some] @ V, _CLEARLY * size))
-        imitated = X[:, exact] @ block_diag(*kept), C[:, exact] @ block_diag(*kept)
+            kept.append(np.eye(strain.start)[:, some] @ V @ _large(sizes[shown, some] @ V, _CLEARLY * size))
+        turns, grows = kept
         strained = np.zeros((len(self._strains), 0))
         if self._motions.strained:
             related = self._of_relations(*relations)
-            X[:, strain], strained = self._hardly_told(J, C[:, strain], related, imitated)
-        Z = X[:p] + self._of_common_targets(measurements, of_targets, by_scalars, -_SHIFT * X[p:])
-        found = [Z[:, : self._motions.directions] @ kept[0], Z[:, self._motions.directions : strain.start] @ kept[1]]
-        if self._motions.grows and not kept[1].shape[1]:
-            found[1] = np.zeros((p, 1))
-        return Unmeasured(_unit(np.concatenate(found, axis=1)), _unit(Z[:, strain] @ strained), self._holds)
+            others = np.hstack(kept)
+            X[:, strain], strained = self._hardly_told(
+                J, C[:, strain], related, (X[:, exact] @ others, C[:, exact] @ others)
+            )
+        Z = X[:p] + self._of_common_targets(measurements, of_targets, by_scalars, -X[p:])
+        if self._motions.grows and not grows.shape[1]:
+            grows = np.zeros((strain.start, 1))
+        return Unmeasured(_unit(Z[:, exact] @ np.hstack([turns, grows])), _unit(Z[:, strain] @ strained), self._holds)
 
     def _hardly_told(self, J: Array, C: Array, related: Array, exact: tuple[Array, Array]) -> tuple[Array, Array]:
         """Return what imitates strains (p + k, s), from rows J (q, p + k) and C (q, s), and those (s, j) to take out.
 
         ``related`` (m, s): what strains do to what is known between targets. ``exact``: what imitates other motions
-        (p + k, n), and what these do (q, n): what they do to targets, or what shifts do, is no strain. Priors tell of
-        strains as well.
+        (p + k, n), and what these do (q, n): what they do to targets, or what shifts and turns of these do, is no
+        strain. Priors tell of strains as well.
         """
         p = len(self._holds)
         others = np.hstack([J[:, p:], exact[1]])
-        Q = np.linalg.qr(others)[0]
+        Q, sizes, _ = linear.svd(others / np.maximum(np.linalg.norm(others, axis=0), _NONE), full_matrices=False)
+        Q = Q[:, sizes > _SAME]
         by_robot, strained = (A - Q @ (Q.T @ A) for A in (J[:, :p], C))
         rows, sought = (np.vstack(A) for A in ((by_robot, np.diag(self._holds)), (strained, np.zeros((p, C.shape[1])))))
         X = np.zeros((J.shape[1], C.shape[1]))
@@ -220,7 +227,7 @@ class SetUpMotions:
         X[p:] += beside[: J.shape[1] - p]
         X += exact[0] @ beside[J.shape[1] - p :]
         shrunk = np.einsum("ik,ij,jk->k", V, self._shrunk, V)
-        hardly = told < min(_HARDLY * self._touched, _BY_LITTLE)
+        hardly = told < np.maximum((self._shorter @ V) ** 2, _NOTHING)
         return X, V[:, hardly & (shrunk < _CLEARLY**2 * np.sum(at_least**2, axis=0))]
 
     def _of_relations(self, numbers: Sequence[int], J: Array) -> Array:
@@ -247,7 +254,10 @@ class SetUpMotions:
     def _of_common_targets(
         self, measurements: Sequence[Measurements], of_targets: TargetsFollowed, by_scalars: Array, shifts: Array
     ) -> Array:
-        """Return how the scaled parameters (p, k) of targets and scalars follow the motions, and ``shifts`` (s, k)."""
+        """Return how the scaled parameters (p, k) of targets and scalars follow the motions, and ``shifts`` (s, k).
+
+        These are of what links carry, and of all that is strained, with its turns.
+        """
         turns, strain = self._motions.directions, self._strain
         Z = np.zeros((len(self._scales), self._count))
         left = dict(zip(of_targets.numbers.tolist(), of_targets.by_twist, strict=True))
@@ -257,9 +267,12 @@ class SetUpMotions:
                 twist = self._twist(t, link, data.value[data.target == t][0, 0] if data.kind == "plane" else 0.0)
                 if link in self._motions.shifted:
                     first = 3 * self._motions.shifted.index(link)
-                    twist[:3] += R.T @ shifts[first : first + 3]
+                    twist[:3] += R.T @ (_SHIFT * shifts[first : first + 3])
                 elif self._motions.strained:
-                    twist[:3, strain] += R.T @ shifts[-3:, strain]
+                    twist[:3, strain] += (
+                        R.T @ self._moved_rigidly(self._targets[t : t + 1, :3, 3])[0] @ shifts[-6:, strain]
+                    )
+                    twist[3:, strain] += R.T @ (_SHIFT * shifts[-3:, strain])
                 rows = _SEEN_OF[shape_of(data) or "point"]
                 Z += np.linalg.lstsq(by_twist[rows], twist[rows], rcond=None)[0]
             unknown = unknown_length(data)

@@ -6,9 +6,9 @@ a point explains every socket, and a turn turns what sockets leave unexplained. 
 left to a threshold.
 
 A machine that is larger along some axes alone seldom touches the same targets exactly; a SCARA does nearly, as far as
-its axes are parallel. Of m touched numbers, whitened, shrinking all saves cost in proportion to m, whatever is true.
-Where the data have an information of I about such a strain, it is then off by about m / I, which is more than half its
-standard error while I < 4 m^2. Then it is taken out as well, unless that is less than a part in a thousand.
+its axes are parallel. Shrinking all touched numbers, whitened, by shares of s together saves cost in proportion to s,
+whatever is true. Where the data have an information of I about such a strain, it is then off by s / I, which is more
+than its standard error while I < s^2. Then it is taken out as well.
 """
 
 from collections.abc import Mapping, Sequence

@@ -41,32 +41,27 @@ class Unmeasured(NamedTuple):
         return self._replace(strains=self.strains[:, :0])
 
     @property
-    def strains_at_solution(self) -> tuple[Array, Array]:
-        """Directions A (p, j) and coordinates B (p, j) of strains alone, as of :func:`taken_out` near a solution."""
-        U, sizes, _ = linear.svd(self.exact, full_matrices=False)
-        return self._strains_beside(U[:, sizes > _DEPENDENT])
+    def strains_beside_exact(self) -> tuple[Array, Array]:
+        """Directions A (p, j) of strains alone, and coordinates B (p, j) that tell them, as of :func:`taken_out`.
 
-    def _strains_beside(self, Q: Array) -> tuple[Array, Array]:
-        """Return directions and coordinates of strains beside orthonormal directions Q (p, k)."""
-        U, sizes, _ = linear.svd(self.strains - Q @ (Q.T @ self.strains), full_matrices=False)
-        U = U[:, sizes > _DEPENDENT]
-        told_by = _told_by(U, self.holds)
-        return U, told_by - Q @ (Q.T @ told_by)
+        Of all directions that differ by exact ones, these are those that priors hold least. Without priors coordinates
+        are at right angles to others. By priors a tool's length, which hardly shows where joints are nearly parallel
+        and may be anything, is no part of a strain, far as it may go with one.
+        """
+        told = self.holds if np.any(self.holds[:, None] * self.strains != 0.0) else np.ones(len(self.holds))
+        held, exact = told[:, None] * self.strains, told[:, None] * self.exact
+        follow = np.linalg.lstsq(exact, held, rcond=_DEPENDENT)[0]
+        lengths = np.maximum(np.linalg.norm(held, axis=0), np.finfo(np.float64).tiny)
+        _, sizes, V = linear.svd((held - exact @ follow) / lengths, full_matrices=False)
+        combined = (V.T / lengths[:, None])[:, sizes > _DEPENDENT]
+        A = (self.strains - self.exact @ follow) @ combined
+        B = told[:, None] ** 2 * A
+        return A, np.asarray(B @ np.linalg.pinv(A.T @ B))
 
     @property
     def told_by(self) -> Array:
         """Coordinates (p, k + j) which say how far the parameters have gone along each."""
-        return np.concatenate([self.exact, _told_by(self.strains, self.holds)], axis=1)
-
-
-def _told_by(U: Array, holds: Array) -> Array:
-    """Return coordinates (p, j) along directions U (p, j) that others do not change which priors tell from them.
-
-    Without priors these are at right angles to U. By priors a tool's length, which hardly shows where joints are nearly
-    parallel and may be anything, is no part of a strain, far as it may go with one.
-    """
-    weights = np.where(np.any(holds[:, None] * U != 0.0), holds**2, 1.0)[:, None] * U
-    return np.asarray(weights @ np.linalg.pinv(U.T @ weights))
+        return np.concatenate([self.exact, self.strains_beside_exact[1]], axis=1)
 
 
 def without(J: Array, unmeasured: Unmeasured) -> Array:
@@ -90,5 +85,7 @@ def taken_out(J: Array, unmeasured: Unmeasured) -> tuple[Array, Array]:
     # Principal vectors of both spaces: columns of `seen @ A` and `U @ B.T` are at angles whose cosines are `shares`.
     A, shares, B = linear.svd(seen.T @ U, full_matrices=False)
     Q = np.linalg.qr(np.where(shares > _CLEARLY, seen @ A, U @ B.T))[0]
-    strains, told_by = unmeasured._strains_beside(Q)
+    strains, told_by = unmeasured.strains_beside_exact
+    told_by = told_by - Q @ (Q.T @ told_by)
+    told_by = told_by @ np.linalg.pinv(strains.T @ told_by)
     return np.concatenate([Q, strains], axis=1), np.concatenate([Q, told_by], axis=1)
