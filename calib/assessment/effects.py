@@ -38,8 +38,8 @@ _TAKEN = 1e-7
 # something out, these then seem unequal by any amount. Where axes can be told they left about 1e-3 or more.
 _AXES_TAKEN = 1e-4
 # Rows that remember more than so many others are a smooth path; rows beside a place that show a change there, and what
-# share of it.
-_SMOOTH, _FEW_ROWS, _AT_ONCE = 1.0, 4, 0.75
+# share of it; how much of all rows parameters take up at most then.
+_SMOOTH, _FEW_ROWS, _AT_ONCE, _LITTLE = 1.0, 4, 0.75, 0.1
 # Widths of weak priors of the robot's parameters by which no change of anything else changes them.
 _FARTHEST = 3.0
 # No motion that is fitted enlarges the whitened sum of squares; priors let it grow by less than this.
@@ -601,9 +601,10 @@ def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step 
     D = np.concatenate([Z[:place], np.zeros_like(Z[place:])]) @ score.sizes
     rest = part.r + D - (J @ (C @ (J.T @ D.ravel()))).reshape(n, d)
     size = float(np.sqrt(float(score.gain) / _scatter(rest, part) / (place * (n - place) / n)))
-    unsure, slowly = int(np.diff(places).max(initial=1)), part.data.position is not None and memory([part.r]) > _SMOOTH
-    # Of positions what comes little by little is a drift, which is judged as one.
-    if slowly and not _at_once(part.r, Z @ score.sizes, place, unsure):
+    # Of positions what comes little by little is a drift, which is judged as one. Of few rows it does not show:
+    # parameters take up much of a change.
+    smooth = part.data.position is not None and part.used < _LITTLE * part.r.size and memory([part.r]) > _SMOOTH
+    if smooth and not _at_once(part.r, Z @ score.sizes, place, int(np.diff(places).max(initial=1))):
         return None
     chance = min(1.0, _chance(score, rest, part) * len(places) * things)
     # The rows were thinned, maybe: their numbers are those of the whole set.
