@@ -621,8 +621,11 @@ def _at_once(r: Array, D: Array, place: int, unsure: int) -> bool:
     few = max(_FEW_ROWS, unsure // 2)
     along, of = (np.append(0.0, np.cumsum(np.sum(A * D, axis=1))) for A in (-r, D))
     middle = np.arange(max(place - unsure, few), min(place + unsure, len(r) - few) + 1)
+    # Rows that nothing of it moves tell nothing.
+    least = max(float(of[-1]), 1.0) * np.finfo(np.float64).eps
     before, after = (
-        (along[middle + b] - along[middle + a]) / (of[middle + b] - of[middle + a]) for a, b in ((-few, 0), (0, few))
+        (along[middle + b] - along[middle + a]) / np.maximum(of[middle + b] - of[middle + a], least)
+        for a, b in ((-few, 0), (0, few))
     )
     return bool(np.max(before - after, initial=0.0) > _AT_ONCE)
 

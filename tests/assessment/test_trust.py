@@ -718,6 +718,8 @@ def test_what_comes_little_by_little_is_no_jump(seed: int, off: int) -> None:
     slowly = np.clip((row - 275.0) / 30.0, -1.0, 0.0)[:, None] * D
     assert _at_once(at_once + noise, D, 260 + off, 5)
     assert not _at_once(slowly + noise, D, 260 + off, 5)
+    # Where it moves nothing, nothing is told.
+    assert not _at_once(noise, np.where(row[:, None] < 200, D, 0.0), 260 + off, 5)
 
 
 def test_a_base_that_moved_along_a_smooth_path_is_told() -> None:
