@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from calib.identification.targets import Shape, shape_of
 from calib.identification.unmeasured import Unmeasured
 from calib.measurement.kinds import TOUCHES
 from calib.measurement.measurements import Measurements
+
+if TYPE_CHECKING:
+    from calib.identification.rates import Block
 
 # Two ways to move every tool are the same when they differ by less than this share.
 _SAME = 1e-7
@@ -109,31 +112,20 @@ class SetUpMotions:
         turned = -rigid.skew(x - self._motions.about)
         return np.asarray(_SHIFT * np.concatenate([np.broadcast_to(np.eye(3), turned.shape), turned], axis=2))
 
-    def add(
-        self,
-        J: Array,
-        moved: Sequence[Moved],
-        sigma: Array,
-        grounds: Sequence[tuple[str | None, IntArray | slice]],
-        of: tuple[Measurements, slice, Array],
-    ) -> None:
-        """Add rows (n, d, p) with their sigmas (n, d).
-
-        ``moved``: tools, and other ends. ``grounds``: which rows are told in which link, None being the floor.
-        ``of``: of which set, which of its rows, and what is left of them (n, d).
-        """
+    def add(self, data: Measurements, block: "Block", sigma: Array) -> None:
+        """Add rows of a set with their sigmas (n, d)."""
+        J = block.J
         changed = np.zeros((*J.shape[:2], self._count + self._rigid))
-        for one in moved:
+        for one in block.moved:
             by_shift, by_turn = one.by_motion
-            for link, own in grounds:
+            for link, own in block.grounds:
                 turns = self._motions.of(link)[1]
                 changed[own, :, : self._count] += by_shift[own] @ self._moved(one.placed[own, :3, 3], link)
                 if link in self._motions.shifted:
                     changed[own, :, self._shift_of(link)] += by_shift[own] * _SHIFT
                 changed[own, :, : turns.shape[1]] += by_turn[own] @ turns
         if len(self._strains):
-            data, own_rows, left = of
-            self._strain_targets(changed, moved[0], left / sigma, data, own_rows)
+            self._strain_targets(changed, block.moved[0], block.observed.residual / sigma, data, block.rows)
         # What parameters, targets left out, do to a tool.
         rows = np.concatenate([np.where(self._of_targets, 0.0, J), changed], axis=2) / sigma[:, :, None]
         self._triangle = linear.triangle(np.concatenate([self._triangle, rows.reshape(-1, rows.shape[2])]))

@@ -273,9 +273,7 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array, given: Split |
             whitened = problem.whitened(i, block.rows, np.concatenate([block.J, residual[:, :, None]], axis=2) / s)
             left[block.rows] = whitened[:, :, -1] * s[:, :, 0] if problem.together else residual
             if whole is not None:
-                whole.add(
-                    block.J, block.moved, sigma[block.rows], block.grounds, (data, block.rows, block.observed.residual)
-                )
+                whole.add(data, block, sigma[block.rows])
             for own, columns in of_set:
                 turned = None if block.own is None else problem.whitened(i, block.rows, block.own / s)[:, columns]
                 own.add(whitened[:, columns], turned, block.block)
@@ -327,9 +325,7 @@ def without_rows(
     if whole is not None:
         for data, sigma in zip(problem.measurements, sigmas, strict=True):
             for block in rates.blocks(data):
-                whole.add(
-                    block.J, block.moved, sigma[block.rows], block.grounds, (data, block.rows, block.observed.residual)
-                )
+                whole.add(data, block, sigma[block.rows])
     return _of_the_whole(problem, rates, at, whole)
 
 
