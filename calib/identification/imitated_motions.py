@@ -35,7 +35,7 @@ _NONE = 1e-9
 _NOTHING = 4.0
 # Where these are strained the tool goes along; a ball that is strained is none.
 _FOLLOWED = ("socket", "plane")
-# Symmetric strains, orthonormal: growing first, then those that change no volume.
+# An orthonormal basis of symmetric strains: growing, and five that change no volume.
 _STRAINS = read_only(
     np.array(
         [

@@ -99,7 +99,7 @@ def test_a_gear_that_is_wrong_is_told_of_an_arm_that_touches_sockets() -> None:
 
 @pytest.mark.parametrize("arm", [SCARA, UR10], ids=["scara", "ur10"])
 def test_what_must_not_change(arm: tuple[str, str]) -> None:
-    """The order of the rows, and the names of sockets."""
+    """The order of the rows changes nothing."""
     made = lab(4, noise=NOISE, arm=arm)
     data, _ = sockets(made)
     order = np.random.default_rng(0).permutation(len(data))

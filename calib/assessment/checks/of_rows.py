@@ -59,11 +59,10 @@ def jump(found: Sequence[Step], outliers: Outliers) -> Check:
     size, said, parted = 0.0, "", ""
     if worst is not None:
         size, parted = worst.size, worst.parted
-        beside = (
-            ", or the board or camera that stands beside it," if worst.photographed and worst.what == "base" else ""
-        )
-        said = f"{worst.file}:{worst.line}: after this row the {_thing(worst.what)}{beside} seems to have changed"
-        said += f", by {size:.2g} times the scatter of the residuals"
+        said = f"{worst.file}:{worst.line}: after this row the {_thing(worst.what)}"
+        if worst.photographed and worst.what == "base":
+            said += ", or the board or camera that stands beside it,"
+        said += f" seems to have changed, by {size:.2g} times the scatter of the residuals"
     for target in outliers.moved:
         n, m = target.rows
         moved = float(np.sqrt(target.gain * (n + m) / (n * m)))
