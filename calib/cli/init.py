@@ -36,32 +36,36 @@ def init(
         from calib.job.inputs import STEPS_OF_LOADING
         from calib.job.looking import loaded, looked_at
     refuse_taken(output)
-    with _expanded(Path(urdf), output) if xacro else nullcontext(urdf) as robot:
+    with _expanded(Path(urdf), output) if xacro else nullcontext((urdf, ())) as (robot, warnings):
         found = proposed(robot, data, said.answers(), ask=not (yes or telling.as_json or telling.quiet))
         with telling.progress(STEPS_OF_LOADING + 1) as say:
             looked = looked_at(loaded(found, output, say), say)
         write_new(output, found.job(output.absolute().parent))
-    tell_check(telling, looked, found.reasons, {"job": str(output)})
+    tell_check(telling, looked, (*warnings, *found.reasons), {"job": str(output)})
     if not telling.as_json:
         telling.tell(dict, lambda: [f"{output} is written; calib calibrate {output} -o out/ goes on."])
 
 
 @contextmanager
-def _expanded(source: Path, output: Path) -> Iterator[str]:
-    """Write the URDF of a xacro file beside the job, and give where; without a job it does not stay.
+def _expanded(source: Path, output: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Write the URDF of a xacro file beside the job, and give where, and xacro's warnings; without a job it goes.
 
     One that an earlier run has left is as good.
     """
     from calib.foundations.errors import OutputError
     from calib.foundations.files import read_bytes, written_first
     from calib.job.xacro import expanded
+    from calib.robot.urdf import parse_urdf
 
     name = source.name.removesuffix(".xacro").removesuffix(".urdf")
-    urdf, made = output.parent / f"{name}.urdf", expanded(source)
+    made, warnings = expanded(source)
+    # What is wrong with it is told of a file that there is.
+    parse_urdf(made, f"{source}: what xacro makes of it")
+    urdf = output.parent / f"{name}.urdf"
     if not os.path.lexists(urdf):
         with written_first(urdf, made):
-            yield str(urdf)
+            yield str(urdf), warnings
         return
     if read_bytes(urdf, OutputError) != made:
         raise OutputError(f"{urdf}: already exists, and is not what {source} makes; move it, or take another folder.")
-    yield str(urdf)
+    yield str(urdf), warnings

@@ -35,7 +35,7 @@ def test_xacro_runs_when_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert said.code == 1
     assert "no column is a joint of the arm (j)" in said.err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.urdf.xacro", "measured.csv"]
-    assert b'xyz="0.30000000000000004 0 0"' in expanded(tmp_path / "arm.urdf.xacro")
+    assert b'xyz="0.30000000000000004 0 0"' in expanded(tmp_path / "arm.urdf.xacro").urdf
     (tmp_path / "broken.xacro").write_text("<robot>${1/0}</robot>")
     said = run("init", "broken.xacro", "measured.csv", "--xacro")
     assert said.code == 1
@@ -78,6 +78,48 @@ def test_what_is_wrong_in_a_xacro_file_is_said_and_its_time_and_memory_are_bound
     assert str(raised.value).endswith(says)
 
 
+def test_of_files_that_a_xacro_file_includes_the_wrong_one_is_named_and_one_that_is_not_there_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("xacro")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "inner.xml").write_text("no robot")
+    include = '<xacro:include filename="{}"/></robot>'
+    (tmp_path / "a.xacro").write_text(XACRO.replace("</robot>", include.format("inner.xml")))
+    with pytest.raises(calib.RobotError, match=r"a\.xacro: xacro says '.*line 1, column 0' of '.*inner\.xml'\.$"):
+        expanded(tmp_path / "a.xacro")
+    put(tmp_path, "FANUC")
+    arm = Path(resolve(UR10)).read_text()
+    (tmp_path / "arm.xacro").write_text(arm.replace("</robot>", include.format("tool_*.xacro")))
+    said = run("init", "arm.xacro", "measured.csv", "--xacro", "--yes")
+    assert said.code == 0
+    assert "arm.xacro: xacro warns: " in " ".join(said.out.split())
+    assert "tool_*.xacro" in "".join(said.out.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("x" * 300 + ".xacro", "cannot be read (File name too long)."),
+        ("folder.xacro", "is not a regular file."),
+        ("a:=b.xacro", "a path with ':=' is an argument to xacro, and no file; call it otherwise."),
+        ("foo.xacro", "what xacro makes of it:6: the outermost element is <foo>; a URDF has <robot>."),
+    ],
+)
+def test_what_is_no_xacro_file_is_refused_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, says: str
+) -> None:
+    pytest.importorskip("xacro")
+    monkeypatch.chdir(tmp_path)
+    put(tmp_path, "points alone")
+    (tmp_path / "folder.xacro").mkdir()
+    for other in ("a:=b.xacro", "foo.xacro"):
+        (tmp_path / other).write_text("<foo/>")
+    said = run("init", name, "measured.csv", "--xacro")
+    assert said.code == 1
+    assert said.err.endswith(f"{says}\n")
+
+
 def test_xacro_runs_again_and_takes_no_module_from_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("xacro")
     monkeypatch.chdir(tmp_path)
@@ -100,7 +142,7 @@ def test_the_urdf_of_a_xacro_file_stays_with_its_job(tmp_path: Path, monkeypatch
     (tmp_path / "arm.urdf.xacro").write_bytes(Path(resolve(UR10)).read_bytes())
     assert run("init", "arm.urdf.xacro", "measured.csv", "--xacro", "--yes").code == 0
     assert 'urdf = "arm.urdf"' in (tmp_path / "calibration.toml").read_text()
-    assert (tmp_path / "arm.urdf").read_bytes() == expanded(tmp_path / "arm.urdf.xacro")
+    assert (tmp_path / "arm.urdf").read_bytes() == expanded(tmp_path / "arm.urdf.xacro").urdf
 
 
 def test_meshes_that_are_not_found_are_said_with_the_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,7 +175,7 @@ def test_origins_go_back_into_a_xacro_file(tmp_path: Path, monkeypatch: pytest.M
     load = "<xacro:property name='origins' value=\"${xacro.load_yaml('origins.yaml')['origins']}\"/>"
     text = re.sub(r"(<robot[^>]*)>", rf'\1 xmlns:xacro="http://www.ros.org/wiki/xacro">{load}', text, count=1)
     (tmp_path / "arm.xacro").write_text(text)
-    made = calib.load_robot(parse_urdf(expanded(tmp_path / "arm.xacro"), "made"), "probe")
+    made = calib.load_robot(parse_urdf(expanded(tmp_path / "arm.xacro").urdf, "made"), "probe")
     should = calib.load_robot("out/calibrated.urdf", "probe")
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (5, len(made.readings)))
     np.testing.assert_allclose(made.tips(q), should.tips(q), rtol=0.0, atol=1e-12)
