@@ -79,6 +79,7 @@ class _Builder:
         self.deepest = generations + 1
         self.root: Element
         self.depth = 0
+        self.xacro = {"xacro"}  # prefixes of xacro's elements: a document may choose another
         self.open: list[tuple[str, dict[str, str], int, int, list[Element], list[str]]] = []
         self.parser = expat.ParserCreate()
         self.parser.buffer_text = True
@@ -103,7 +104,10 @@ class _Builder:
         self.depth += 1
         if self.depth > DEEPEST:
             self.refuse(f"elements are nested more than {DEEPEST} deep.")
-        if tag.startswith("xacro:"):
+        for name, value in attributes.items():
+            if name.startswith("xmlns:") and value.endswith("/xacro"):
+                self.xacro.add(name.removeprefix("xmlns:"))
+        if ":" in tag and tag.partition(":")[0] in self.xacro:
             self.refuse(f"<{shortened(tag)}> {NOT_EXPANDED}")
         if self.depth <= self.deepest:
             place = self.parser.CurrentLineNumber, self.parser.CurrentByteIndex

@@ -37,6 +37,8 @@ MOST_JOINTS = 200
 # Of the whole document, and as many joints: a cell with all its fixed frames has some hundreds.
 MOST_LINKS = 2000
 _LONGEST_NAME = 200
+# Of xacro before it had a prefix: links and joints that are elsewhere, or there under a condition.
+_BARE_XACRO = ("include", "macro", "if", "unless")
 # Beyond any robot in metres or radians: a wrong unit or a slipped exponent.
 LARGEST_NUMBER = 1e6
 # A shorter axis is a zero with rounding noise and has no direction.
@@ -166,6 +168,8 @@ def parse_urdf(source: bytes, where: str) -> Urdf:
         raise RobotError(
             f"{where}:{robot.line}: the outermost element is <{shortened(robot.tag)}>; a URDF has <robot>."
         )
+    if bare := next((child for child in robot.children if child.tag in _BARE_XACRO), None):
+        raise RobotError(f"{where}:{bare.line}: <{bare.tag}> {NOT_EXPANDED}")
     for tag in ("link", "joint"):
         if (many := len(robot.all(tag))) > MOST_LINKS:
             raise RobotError(f"{where}: has {many} {tag}s; allowed are {MOST_LINKS}.")

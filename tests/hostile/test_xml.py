@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from calib.foundations.errors import RobotError
+from calib.foundations.xml_text import read_xml
 from calib.presentation.meshes import primitive
 from calib.presentation.visuals import visuals
 from calib.robot.load import MOST_JOINTS, load_robot
@@ -143,6 +144,24 @@ def test_xacro_is_never_run(tmp_path: Path) -> None:
     sentence = said('<robot xmlns:xacro="http://x"><xacro:include filename="/etc/passwd"/><link name="a"/></robot>')
     assert sentence.endswith("run xacro first and use the URDF that it prints, or let calib init --xacro run it.")
     assert not made.exists()
+
+
+@pytest.mark.parametrize(
+    "element",
+    [
+        '<x:include filename="arm.xacro"/>',
+        '<x:if value="1"><link name="b"/></x:if>',
+        '<link name="b"><x:macro/></link>',
+        '<include filename="arm.xacro"/>',
+        '<macro name="arm"/>',
+        '<unless value="0"/>',
+    ],
+)
+def test_xacro_of_another_prefix_or_of_none_is_not_passed_over(element: str) -> None:
+    """What it holds of the robot is not there: without it, it would be another one."""
+    sentence = said(f'<robot xmlns:x="http://www.ros.org/wiki/xacro"><link name="a"/>{element}</robot>')
+    assert "is not expanded; run xacro first" in sentence
+    assert read_xml(b'<robot xmlns:x="http://x/sensor"><x:include/></robot>').children[0].tag == "x:include"
 
 
 def test_meshes_outside_their_roots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
