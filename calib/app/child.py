@@ -117,8 +117,7 @@ def _with_meshes(robot: str, meshes: Sequence[str]) -> tuple[str, list[str]]:
     source = read_bytes(Path(robot), JobError)
     path, lost = gather(Path.cwd(), robot, mesh_uris(source), meshes)
     # What collisions are found with is not shown.
-    first, *others = source.split(b"<collision")
-    seen = mesh_uris(first + b"".join(other.partition(b"</collision>")[2] for other in others))
+    seen = mesh_uris(source, ("visual",))
     missing = [uri for uri in lost if uri in seen]
     if not missing:
         return path, [f"{robot}: its {len(seen)} meshes were found among those that were dropped."]

@@ -107,21 +107,25 @@ def _mesh_roots(job: schema.Job, urdf: Path, path: Path) -> tuple[Path, ...]:
     return (urdf.parent, *named, *examples, *package_folders(read_bytes(urdf, JobError), urdf))
 
 
+# Of more, none is drawn.
 _MOST_MESHES = 1000
 
 
 def meshes_not_found(source: bytes, roots: Sequence[Path], where: str) -> list[Finding]:
-    """Find meshes that the scene will lack, and say the cure."""
+    """Find meshes that the scene, or a plan without collisions, will lack, and say the cure."""
     uris = mesh_uris(source)
     lost = [uri for uri in uris[:_MOST_MESHES] if find_mesh(uri, roots) is None]
     if not lost:
         return []
+    many = f"its {len(uris)}" if len(uris) <= _MOST_MESHES else f"the first {_MOST_MESHES} of its {len(uris)}"
+    needed = (("visual", "the scene shows sticks"), ("collision", "calib plan judges no collisions of them"))
+    lacks = " and ".join(what for shape, what in needed if not set(lost).isdisjoint(mesh_uris(source, (shape,))))
     return [
         Finding.warning(
             "meshes-not-found",
-            f"{where}: {len(lost)} of its {len(uris)} meshes are not found, such as {shown(lost[0])}; the scene shows "
-            "sticks, and nothing else needs them. Name the folder above the package in robot.mesh_roots, or source its "
-            "workspace (AMENT_PREFIX_PATH).",
+            f"{where}: {len(lost)} of {many} meshes are not found, such as {shown(lost[0])}; {lacks}, and nothing else "
+            "needs them. Name the folder above the package in robot.mesh_roots, or source its workspace "
+            "(AMENT_PREFIX_PATH).",
         )
     ]
 

@@ -4,7 +4,7 @@ import contextlib
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from importlib import metadata
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote
@@ -12,12 +12,12 @@ from urllib.parse import unquote
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
 from calib.foundations.words import near
+from calib.foundations.xml_text import NotXmlError, read_xml
 
 EXAMPLE = "example:"
 
 _DISTRIBUTION = "example-robot-data"
 _FOLDER = f"share/{_DISTRIBUTION}/robots"
-_MESH = re.compile(rb"""<mesh\b[^<>]*?\bfilename\s*=\s*["']([^"'<>]{1,1000})["']""")
 _PACKAGE_NAME = re.compile(rb"<name>\s*([A-Za-z0-9_.-]{1,100})\s*</name>")
 _LARGEST_MANIFEST = 100_000
 _ABOVE = re.compile(r"^(?:\.\.?/)+")
@@ -81,23 +81,37 @@ def find_mesh(uri: str, roots: Sequence[Path]) -> Path | None:
     else:
         return None
     for root in roots:
-        # The folder of a package is no place for meshes of another one that have the same path there.
-        other = scheme == "package" and _package_name(root) not in (None, rest.partition("/")[0])
-        for name in names[:1] if other else names:
+        for k, name in enumerate(names):
             try:
-                path = (root / name).resolve()
-                if path.is_file() and path.is_relative_to(root.resolve()):
-                    return path
+                # Where nothing is, which is nearly everywhere, one question to the system tells. Path takes long to
+                # build of a long path.
+                if not os.path.isfile(path := os.path.join(root, name)):  # noqa: PTH113, PTH118
+                    continue
+                # The folder of a package is no place for meshes of another one that have the same path there.
+                other = k and scheme == "package" and _package_name(root) not in (None, rest.partition("/")[0])
+                if not other and (found := Path(path).resolve()).is_relative_to(root.resolve()):
+                    return found
             except (OSError, RuntimeError, ValueError):
                 # A loop of links, a name too long, a zero byte: no file of that name.
                 continue
     return None
 
 
-def mesh_uris(source: bytes) -> tuple[str, ...]:
-    """Return what the ``<mesh filename>`` of a URDF name, each once."""
-    found = (match[1].decode(errors="replace") for match in _MESH.finditer(source))
-    return tuple(dict.fromkeys(found))
+def mesh_uris(source: bytes, shapes: Collection[str] = ("visual", "collision")) -> tuple[str, ...]:
+    """Return what the ``<mesh filename>`` of a URDF's links name, each once; of what is no XML nothing."""
+    try:
+        robot = read_xml(source, generations=4)
+    except NotXmlError:
+        return ()
+    meshes = (
+        mesh.attributes.get("filename", "")
+        for link in robot.all("link")
+        for shape in link.children
+        if shape.tag in shapes
+        for geometry in shape.all("geometry")
+        for mesh in geometry.all("mesh")
+    )
+    return tuple(dict.fromkeys(uri for uri in meshes if uri))
 
 
 def package_folders(source: bytes, urdf: Path) -> tuple[Path, ...]:

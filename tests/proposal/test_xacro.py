@@ -155,6 +155,19 @@ def test_meshes_that_are_not_found_are_said_with_the_cure(tmp_path: Path, monkey
     said = " ".join(run("check", "calibration.toml").out.split())
     assert "1 of its 1 meshes are not found, such as 'package://none/a.stl'; the scene shows sticks" in said
     assert "AMENT_PREFIX_PATH" in said
+    urdf = (tmp_path / "arm_cmm.urdf").read_bytes()
+    for change, what in (
+        ((b"visual>", b"collision>"), "; calib plan judges no collisions of them, and nothing else needs them"),
+        ((b"</robot>", b'<!-- <mesh filename="old.stl"/> --></robot>'), "1 of its 1 meshes are not found"),
+    ):
+        (tmp_path / "arm_cmm.urdf").write_bytes(urdf.replace(*change))
+        assert what in " ".join(run("check", "calibration.toml").out.split())
+    many = mesh.removesuffix(b"</link>") + b"".join(
+        b'<visual><geometry><mesh filename="%d.stl"/></geometry></visual>' % k for k in range(1500)
+    )
+    (tmp_path / "arm_cmm.urdf").write_bytes(urdf.replace(b"</link>", many + b"</link>", 1))
+    said = " ".join(run("check", "calibration.toml").out.split())
+    assert "1000 of the first 1000 of its 1501 meshes are not found" in said
 
 
 def test_origins_go_back_into_a_xacro_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

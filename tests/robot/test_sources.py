@@ -94,6 +94,11 @@ def test_examples_of_another_package_manager_lie_under_the_prefix(
     assert sources.resolve("example:arm/arm.urdf") == robot
 
 
+def looking_like(*uris: str) -> bytes:
+    visuals = "".join(f'<visual><geometry><mesh filename="{uri}"/></geometry></visual>' for uri in uris)
+    return f'<robot name="r"><link name="a">{visuals}</link></robot>'.encode()
+
+
 def package(folder: Path, name: str) -> Path:
     folder.mkdir(parents=True)
     (folder / "package.xml").write_text(f"<package><name>{name}</name></package>")
@@ -111,7 +116,7 @@ def test_packages_are_found_above_the_urdf_beside_it_and_in_sourced_workspaces(
     package(tmp_path / "src" / "liar", "somebody_else")
     (own / "urdf").mkdir()
     names = ("arm_description", "tools", "gripper", "liar", "nowhere")
-    source = "".join(f'<mesh scale="1 1 1" filename="package://{name}/meshes/a.stl"/>' for name in names).encode()
+    source = looking_like(*(f"package://{name}/meshes/a.stl" for name in names))
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'install'}:/nowhere")
     roots = sources.package_folders(source, own / "urdf" / "arm.urdf")
     found = {uri: sources.find_mesh(uri, roots) for uri in sources.mesh_uris(source)}
@@ -121,12 +126,22 @@ def test_packages_are_found_above_the_urdf_beside_it_and_in_sourced_workspaces(
 
 def test_a_pipe_in_the_place_of_a_manifest_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "package.xml")
-    source = b'<mesh filename="package://arm/a.stl"/>'
+    source = looking_like("package://arm/a.stl")
     assert sources.package_folders(source, tmp_path / "urdf" / "arm.urdf") == ()
 
 
-def test_meshes_are_found_in_one_pass() -> None:
+def test_meshes_are_those_of_visuals_and_collisions_as_xml_has_them() -> None:
+    source = looking_like("package://a/x&amp;y.stl", "a.stl", "a.stl")
+    source = source.replace(b"</link>", b'<!-- <mesh filename="old.stl"/> --><mesh filename="no.stl"/></link>')
+    collision = b'<collision><geometry><mesh filename="c.stl"/></geometry></collision></link>'
+    source = source.replace(b"</link>", collision)
+    assert sources.mesh_uris(source) == ("package://a/x&y.stl", "a.stl", "c.stl")
+    assert sources.mesh_uris(source.decode().encode("utf-16")) == ("package://a/x&y.stl", "a.stl", "c.stl")
+    assert sources.mesh_uris(source, ("visual",)) == ("package://a/x&y.stl", "a.stl")
+    assert sources.mesh_uris(b"<robot") == ()
+
+
+def test_long_paths_below_many_roots_are_looked_for_quickly(tmp_path: Path) -> None:
     begun = time.process_time()
-    source = b"<!--" + b"<mesh " * 160_000 + b'--><mesh scale="1 1 1" filename="package://a/b.stl"/>'
-    assert sources.mesh_uris(source) == ("package://a/b.stl",)
+    assert all(sources.find_mesh(f"{k}{'/a' * 450}", (tmp_path,) * 100) is None for k in range(100))
     assert time.process_time() - begun < 5.0
