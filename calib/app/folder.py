@@ -277,6 +277,13 @@ def gather(folder: Path, robot: str, uris: Sequence[str], meshes: Sequence[str])
         else:
             found[uri] = "/".join((ROBOT, *parts)), best
     urdf = f"{ROBOT}/{robot}"
+    # One mesh may be asked for by any number of paths, and each of them gets it.
+    copied = (stamp(folder / _MESHES / best) for best in dict(found.values()).values())
+    if sum(one[1] for one in copied if one is not None) > _LARGEST_SUM:
+        raise OutputError(
+            f"{shown(robot)}: its meshes, at all paths by which it names them, have more than the "
+            f"{_LARGEST_SUM // 1_000_000} MB that are allowed; drop fewer of them."
+        )
     _remove_made(folder)
     refuse_other_files(folder, {urdf, *(name for name, _ in found.values())})
     with sentences(urdf, OutputError, "cannot be written"):

@@ -251,6 +251,16 @@ def test_meshes_are_put_where_the_robot_says_that_they_are(tmp_path: Path) -> No
     assert [path.name for path in (tmp_path / "robot").iterdir()] == ["arm.urdf"]
 
 
+def test_a_mesh_at_very_many_paths_does_not_fill_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calib.app.folder._LARGEST_SUM", 1000)
+    (tmp_path / "arm.urdf").write_text("<robot/>")
+    take(tmp_path, "a.stl", bytes(300), {})
+    uris = [f"package://m{k}/a.stl" for k in range(4)]
+    assert gather(tmp_path, "arm.urdf", [*uris[:3], "package://m0//a.stl"], ["a.stl"])[1] == []
+    with pytest.raises(OutputError, match=r"^'arm\.urdf': its meshes, at all paths by which it names them, have more"):
+        gather(tmp_path, "arm.urdf", uris, ["a.stl"])
+
+
 def test_files_that_a_person_has_put_into_the_folder_stay(tmp_path: Path) -> None:
     """They were removed with ``robot/`` at every look, and replaced by what was dropped or made under their names."""
     for name in ("arm.urdf", "mine.csv", "robot/notes.txt", "robot/m/own.stl", "tables/poses.csv"):
