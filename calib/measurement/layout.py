@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import NUMBER, symbol_of
-from calib.foundations.words import counted
+from calib.foundations.words import counted, shown
 from calib.measurement.cells import Line, beginning, cells, is_comment
 
 # In the order in which they are taken where several divide as well: a comma may also be a decimal one.
@@ -76,8 +76,23 @@ def layout(data: bytes, where: str) -> Layout:
     below = header + 1
     if below < len(rows) and len(rows[below]) == len(rows[header]) and (found := units_of(rows[below])):
         units, last = found, plain[below].number
+        refuse_two_units(rows[header], units, f"{where}:{last}")
         remarks.append("the line below the header has the units")
     return Layout(separator, tuple(rows[header]), units, plain[header].number, last, tuple(remarks))
+
+
+def refuse_two_units(titles: Sequence[str], units: Sequence[str], at: str) -> None:
+    """Raise MeasurementError where a title has one unit, and the line below it, at a place, another."""
+    for title, unit in zip(titles, units, strict=True):
+        own = _unit_in(title)
+        if unit and own not in (None, unit):
+            raise MeasurementError(
+                f"{at}: column {shown(title)} has the unit {own} in its title, and {unit} below; keep one."
+            )
+
+
+def _unit_in(title: str) -> str | None:
+    return symbol_of(title[:-1].rpartition("[")[2]) if title.endswith("]") else name_and_unit(title)[1]
 
 
 def _without_header(
@@ -165,8 +180,9 @@ def units_of(row: Sequence[str]) -> tuple[str, ...]:
 
 def with_units(titles: Sequence[str], units: Sequence[str]) -> list[str]:
     """Return titles with the units that a row below them has."""
+    pairs = zip(titles, units, strict=True)
     return [
-        f"{title} [{unit}]" if unit and "[" not in title else title for title, unit in zip(titles, units, strict=True)
+        f"{title} [{unit}]" if unit and "[" not in title and not _unit_in(title) else title for title, unit in pairs
     ]
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS
+from calib.measurement.cells import is_comment
 from calib.measurement.layout import name_and_unit
 from calib.measurement.table import Columns, Table, _split, read_table, table_from_arrays, table_from_frame
 
@@ -91,8 +92,14 @@ def test_dialects_of_one_table(tmp_path: Path, content: bytes) -> None:
     assert all(np.array_equal(found.columns[name].values, plain.columns[name].values) for name in plain.columns)
 
 
-@pytest.mark.parametrize("cell", ["#N/A", "#NV", "#DIV/0!", "#WERT!", "#NAME?", "#####"])
-@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize(
+    "cell",
+    [
+        *("#N/A", "#NV", "#DIV/0!", "#WERT!", "#NAME?", "#####"),
+        *("#¡VALOR!", "#ИМЯ?", "#NÉV?", "#N/D", "#Н/Д", "#n/a", "#GETTING_DATA"),  # of other languages, and programs
+    ],
+)
+@pytest.mark.parametrize("separator", [",", ";", "\t", "|"])
 def test_a_row_that_begins_with_an_error_of_a_spreadsheet_is_no_comment(
     tmp_path: Path, cell: str, separator: str
 ) -> None:
@@ -101,6 +108,22 @@ def test_a_row_that_begins_with_an_error_of_a_spreadsheet_is_no_comment(
     path = write(tmp_path, "\n".join(row.replace(", ", separator) for row in rows))
     with pytest.raises(MeasurementError, match=rf":3: column 'j1': '{re.escape(cell)}' is not a number"):
         read_table(path)
+
+
+@pytest.mark.parametrize(
+    "comment", ["#x, y, z", "#m/s, deg", "#Achtung!, neu", "# N/A, 1", "#rate 30", "#gravity, 0, 0, -9.81", "#90, 1, 2"]
+)
+def test_comments_without_a_blank_stay_comments(comment: str) -> None:
+    assert is_comment(comment)
+    assert not is_comment("#DIV/0! 1 2")  # cells may be separated by blanks
+
+
+def test_a_unit_below_the_header_that_contradicts_it_is_refused(tmp_path: Path) -> None:
+    for title in ("x [mm]", "x (mm)", "x_mm"):
+        path = write(tmp_path, f"j1,{title},y\ndeg,m,mm\n1,2,3\n2,3,4\n")
+        with pytest.raises(MeasurementError, match=r":2: column 'x.*' has the unit mm in its title, and m below; keep"):
+            read_table(path)
+    assert read_table(write(tmp_path, "j1,x [mm]\ndeg,mm\n1,2\n2,3\n")).columns["x"].values.tolist() == [2e-3, 3e-3]
 
 
 def test_all_that_is_wrong_with_a_header_is_said_at_once(tmp_path: Path) -> None:

@@ -388,6 +388,12 @@ def test_a_row_of_units_in_a_workbook_is_no_row(folder: Path) -> None:
     assert found.titles == ("pose", "J1 [deg]", "J2 [deg]", "X [mm]", "Y [mm]")
     assert found.rows == (("p", "1.5", "2.5", "5.5", "6.5"), ("q", "3.5", "4.5", "7.5", "8.5"))
     assert "the row below the header has the units" in found.remarks
+    book.active["C1"] = "Y [m]"
+    book.save(folder / "points.xlsx")
+    with pytest.raises(
+        calib.MeasurementError, match=r"^points\.xlsx: column 'Y \[m\]' has the unit m in its title, and mm"
+    ):
+        read_sheet("points.xlsx")
 
 
 def test_a_workbook_in_a_language_that_is_not_read_is_to_be_saved_anew(

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element, iterparse
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
 from calib.foundations.words import counted, listed, shown
-from calib.measurement.layout import header_of, is_number, units_of, with_point, with_units
+from calib.measurement.layout import header_of, is_number, refuse_two_units, units_of, with_point, with_units
 
 # Of the archive unpacked; a workbook of a million cells has some 50 MB.
 _LARGEST = 200_000_000
@@ -101,6 +101,7 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
     titles = [title or f"column {k + 1}" for k, title in enumerate(rows[header])]
     rows = rows[header + 1 :]
     if rows and (units := units_of(rows[0])):
+        refuse_two_units(titles, units, where)
         titles, rows = with_units(titles, units), rows[1:]
         remarks.append("the row below the header has the units")
     return titles, rows, tuple(remarks)
