@@ -132,6 +132,25 @@ def test_records(folder: Path) -> None:
         assert columns["qw"] == "pose.orientation.w"
 
 
+def test_entries_of_a_mapping_are_joined_by_their_names(folder: Path) -> None:
+    """They were lost, and rows of two files joined in the order in which they stood."""
+    (folder / "a.json").write_text('{"p": {"j1": 1}, "q": {"j1": 2}, "r": {"j1": 3}}')
+    (folder / "b.json").write_text('{"r": {"x": 30}, "p": {"x": 10}, "q": {"x": 20}}')
+    found = joined(read_sheet("a.json"), read_sheet("b.json"))
+    assert found.titles == ("record", "j1", "x")
+    assert found.rows == (("p", "1", "10"), ("q", "2", "20"), ("r", "3", "30"))
+    assert found.remarks == ("3 rows joined by 'record' and 'record'",)
+    (folder / "a.json").write_text('{"p": {"record": 1}}')
+    assert read_sheet("a.json").titles == ("record_", "record")
+
+
+def test_what_stands_beside_records_is_told(folder: Path) -> None:
+    (folder / "a.json").write_text('{"unit": "inch", "data": [{"x": 1}]}')
+    found = read_sheet("a.json")
+    assert found.rows == (("1",),)
+    assert found.remarks == ("'data' is read, and not 'unit'",)
+
+
 def test_a_workbook(folder: Path) -> None:
     openpyxl = pytest.importorskip("openpyxl")
     s = session()

@@ -10,7 +10,7 @@ from typing import Any
 from calib.foundations.csv_text import text_of
 from calib.foundations.errors import MeasurementError
 from calib.foundations.json_text import UnreadableError, unique_names, whole_number
-from calib.foundations.words import shown
+from calib.foundations.words import listed, shown
 from calib.measurement.formats.yaml_events import read_yaml, written
 
 _DEEPEST = 8
@@ -28,12 +28,12 @@ def from_json_lines(data: bytes, where: str) -> _Rows:
     for number, line in enumerate(_text(data, where).split("\n"), start=1):
         if line.strip():
             found.append(_loaded(line, f"{where}:{number}"))
-    return _rows(found, where)
+    return _rows(found, (), where)
 
 
 def from_json(data: bytes, where: str) -> _Rows:
     """Return titles and cells of a JSON list, or mapping, of records."""
-    return _rows(_records(_loaded(_text(data, where), where)), where)
+    return _rows(*_records(_loaded(_text(data, where), where)), where)
 
 
 def from_yaml(data: bytes, where: str) -> _Rows:
@@ -44,7 +44,8 @@ def from_yaml(data: bytes, where: str) -> _Rows:
         return [found for node in nodes if node is not None and (found := written(node))]
 
     documents = read_yaml(_text(data, where), where, MeasurementError, documents_of)
-    return _rows(_records(documents[0]) if len(documents) == 1 else documents, where)
+    found, said = _records(documents[0]) if len(documents) == 1 else (documents, ())
+    return _rows(found, said, where)
 
 
 def _text(data: bytes, where: str) -> str:
@@ -60,20 +61,30 @@ def _loaded(text: str, where: str) -> Any:
         raise MeasurementError(f"{where}: is not JSON.") from e
 
 
-def _records(found: Any) -> list[Any]:
-    """Return the records of a list, of a mapping of records, or of the only list in a mapping."""
+def _records(found: Any) -> tuple[list[Any], tuple[str, ...]]:
+    """Return the records of a list, of a mapping of records, or of the only list in a mapping, and remarks.
+
+    Those of a mapping have its names in a column: rows of two files are joined by such.
+    """
     if isinstance(found, list):
-        return found
+        return found, ()
     if isinstance(found, Mapping):
-        inside = [value for value in found.values() if isinstance(value, list) and value and isinstance(value[0], dict)]
+        inside = [
+            key for key, value in found.items() if isinstance(value, list) and value and isinstance(value[0], dict)
+        ]
         if len(inside) == 1:
-            return list(inside[0])
+            others = [key for key in found if key != inside[0]]
+            said = (f"{shown(inside[0])} is read, and not {listed(others)}",) if others else ()
+            return list(found[inside[0]]), said
         if found and all(isinstance(value, Mapping) for value in found.values()):
-            return list(found.values())
-    return [found]
+            title = "record"
+            while any(title in value for value in found.values()):
+                title += "_"
+            return [{title: key, **value} for key, value in found.items()], ()
+    return [found], ()
 
 
-def _rows(found: Sequence[Any], where: str) -> _Rows:
+def _rows(found: Sequence[Any], said: tuple[str, ...], where: str) -> _Rows:
     titles: dict[str, None] = {}
     rows: list[dict[str, str]] = []
     count = 0
@@ -94,7 +105,7 @@ def _rows(found: Sequence[Any], where: str) -> _Rows:
             raise MeasurementError(f"{where}: has more than {_LONGEST_LIST} columns.")
     if count and len(rows) * len(titles) > _MOST_CELLS:
         raise MeasurementError(f"{where}: has more than {_MOST_CELLS} values.")
-    return list(titles), [[row.get(title, "") for title in titles] for row in rows], ()
+    return list(titles), [[row.get(title, "") for title in titles] for row in rows], said
 
 
 def _flat(node: Any, name: str, depth: int, where: str) -> Iterator[tuple[str, str]]:
