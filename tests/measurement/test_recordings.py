@@ -197,8 +197,10 @@ def test_why_a_recording_cannot_be_read_is_said(tmp_path: Path) -> None:
         topics(cut)
 
 
-def of_joints(path: Path, topic: str, told: list[tuple[list[str], list[float]]]) -> Path:
-    """A recording of one topic of joints, with these names and positions."""
+def of_joints(
+    path: Path, topic: str, told: list[tuple[list[str], list[float]]], stamps: list[float] | None = None
+) -> Path:
+    """A recording of one topic of joints, with these names and positions; ``stamps``: in s, else a ms apart."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -207,10 +209,22 @@ def of_joints(path: Path, topic: str, told: list[tuple[list[str], list[float]]])
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection(topic, kind, typestore=store)
         for k, (names, position) in enumerate(told):
-            head = T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](1_700_000_000, 1_000_000 * k), "")
+            late = 1_000_000 * k if stamps is None else round(1e9 * stamps[k])
+            told_at = T["builtin_interfaces/msg/Time"](1_700_000_000 + late // 10**9, late % 10**9)
+            head = T["std_msgs/msg/Header"](told_at, "")
             message = T[kind](head, names, np.array(position), np.zeros(0), np.zeros(0))
             writer.write(connection, BEGIN + 1_000_000 * k, store.serialize_cdr(message, kind))
     return path
+
+
+def test_a_clock_that_is_set_back_does_not_mix_two_motions(tmp_path: Path) -> None:
+    told = [(["a"], [float(k)]) for k in range(6)]
+    late = read_topic(of_joints(tmp_path / "late", "/j", told, [0.0, 0.2, 0.1, 0.15, 0.3, 0.4]), "/j")
+    np.testing.assert_allclose(numbers(late)[:, 1], [0.0, 2.0, 3.0, 1.0, 4.0, 5.0])
+    assert late.remarks[-1] == "2 messages came behind later ones: rows are in the order of their times"
+    again = of_joints(tmp_path / "again", "/j", told, [0.0, 5.0, 10.0, 0.5, 5.5, 10.5])
+    with pytest.raises(MeasurementError, match=r"again: '/j': the times that messages tell jump back by 9\.5 s, to "):
+        read_topic(again, "/j")
 
 
 def test_joints_in_another_order_are_the_same_joints(tmp_path: Path) -> None:
@@ -563,7 +577,7 @@ def test_mcap_is_read_without_indexes_and_in_any_order(
     assert [topic.messages for topic in topics(path)] == [9]
     sheet = read_topic(path, "/p")
     np.testing.assert_allclose(numbers(sheet)[:, :2], [[0.001 * k, k] for k in range(9)], atol=1e-9)
-    said = ["2 messages came behind later ones: rows are in the order of their times"]
+    said = ["3 messages came behind later ones: rows are in the order of their times"]
     assert list(sheet.remarks[1:]) == (said if order != sorted(order) else [])
 
 

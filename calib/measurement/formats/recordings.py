@@ -6,9 +6,10 @@ those at which they were recorded, in s since the recording began: tables of one
 
 import contextlib
 import math
+from array import array
 from collections import Counter
 from collections.abc import Iterator
-from itertools import compress, pairwise
+from itertools import compress
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,6 +29,8 @@ SUFFIXES = frozenset((".bag", ".mcap", ".db3"))
 # A table of so many rows is hours of a fast controller; cells of text take some hundred bytes each.
 _MOST_MESSAGES = 3_000_000
 _NANO = 1e-9
+# So far, in s, messages come behind later ones: what is told of an earlier time after that is of a clock that was set.
+_LATEST = 1.0
 _TITLES = {
     "point": ("time [s]", "x [m]", "y [m]", "z [m]"),
     "pose": ("time [s]", "x [m]", "y [m]", "z [m]", "qw", "qx", "qy", "qz"),
@@ -92,6 +95,7 @@ def read_topic(path: Path, name: str) -> Sheet:
     """
     of, kinds, others = "", list[str](), 0
     joints, points = list[_Joints](), list[_Point]()
+    recorded, stamped = array("d"), array("d")
     with _opened(path) as reader:
         zero = int(reader.start_time)
         for _, kind, told, time, message in _messages(reader, path, name):
@@ -101,6 +105,8 @@ def read_topic(path: Path, name: str) -> Sheet:
                 others += 1
                 continue
             seconds = _NANO * (((_stamp(message) if told.stamped else 0) or time) - zero)
+            recorded.append(time)
+            stamped.append(seconds)
             if of == "joints":
                 joints.append((seconds, tuple(message.name), tuple(map(float, message.position))))
             else:
@@ -116,6 +122,7 @@ def read_topic(path: Path, name: str) -> Sheet:
     if not of:
         raise MeasurementError(f"{path}: messages of {shown(name)} are {shown(kinds[0])}: neither joints nor points.")
     at = f"{path}: {shown(name)}"
+    _refuse_jump(np.asarray(recorded), np.asarray(stamped), at)
     titles, rows, remarks = _joint_rows(joints, at) if of == "joints" else (_TITLES[of], *_point_rows(points))
     if others:
         remarks.append(f"{counted(others, 'message')} of another type left out")
@@ -127,11 +134,27 @@ def read_topic(path: Path, name: str) -> Sheet:
         raise MeasurementError(f"{at}: every message has a number that is none (nan or inf).")
     if lost := len(rows) - len(known_rows):
         remarks.append(f"{counted(lost, 'message')} with a number that is none (nan or inf) left out")
-    if late := sum(after[0] < before[0] for before, after in pairwise(known_rows)):
+    told_times = np.array([row[0] for row in known_rows])
+    if late := int((told_times < np.maximum.accumulate(told_times)).sum()):
         known_rows.sort(key=itemgetter(0))
         remarks.append(f"{counted(late, 'message')} came behind later ones: rows are in the order of their times")
     said = f"time 0 is {_NANO * zero:.3f} s of the recording's clock"
     return Sheet(titles, tuple(tuple(map(repr, row)) for row in known_rows), str(path), (said, *remarks))
+
+
+def _refuse_jump(recorded: Array, stamped: Array, at: str) -> None:
+    """Raise MeasurementError where the clock of messages was set back: in the order of times, two motions would mix.
+
+    ``recorded`` (n,) and ``stamped`` (n,): when, by the recorder and by the message.
+    """
+    told = stamped[np.argsort(recorded, kind="stable")]
+    back = np.maximum.accumulate(told) - told
+    if (back > _LATEST).any():
+        k = int(np.argmax(back > _LATEST))
+        raise MeasurementError(
+            f"{at}: the times that messages tell jump back by {back[k]:.1f} s, to {told[k]:.3f} s, as of a clock that "
+            "was set, or of a motion that was played again; cut the recording there."
+        )
 
 
 def _joint_rows(told: list[_Joints], at: str) -> tuple[tuple[str, ...], list[list[float]], list[str]]:
