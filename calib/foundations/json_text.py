@@ -5,10 +5,10 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
-from calib.foundations.words import shown
+from calib.foundations.words import shortened, shown
 
 if TYPE_CHECKING:
-    from pydantic import BaseModel
+    from pydantic import BaseModel, ValidationError
 
 _Model = TypeVar("_Model", bound="BaseModel")
 
@@ -57,6 +57,25 @@ def validated(model: type[_Model], source: bytes) -> _Model:
     """
     parse_json(source)
     return model.model_validate_json(source)
+
+
+def first_wrong(error: "ValidationError") -> str:
+    """Return where a document is not as its model has it, what stands there, and what is allowed: no whole sentence."""
+    first = error.errors(include_url=False)[0]
+    place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
+    place, value = place[1:101] or "its top level", first["input"]
+    match first["type"]:
+        case "json_invalid":
+            return f"it is no JSON: {first['ctx']['error']}"
+        case "missing":
+            return f"{place} is missing"
+        case "extra_forbidden":
+            return f"{place} is not known"
+        case "value_error":
+            return f"{place}: {first['ctx']['error']}"
+    allowed = first["msg"].replace("Input should", "it must")
+    stands = "" if isinstance(value, dict | list | tuple) else f" is {shortened(json.dumps(value, default=str))};"
+    return f"{place}{stands or ':'} {allowed[:1].lower()}{allowed[1:]}"
 
 
 def _refuse_constant(name: str) -> NoReturn:

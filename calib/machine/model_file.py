@@ -24,9 +24,10 @@ from calib.foundations.choices import PlacedIn
 from calib.foundations.errors import JobError, OutputError, RobotError
 from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.folders import reading_folder
-from calib.foundations.json_text import NotJsonError, validated
+from calib.foundations.json_text import NotJsonError, first_wrong, validated
 from calib.foundations.linear import triangle
 from calib.foundations.ranges import MOST_SETUPS, MOST_TERMS, MOST_TOOLS
+from calib.foundations.words import shown
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import GaussianResiduals, gaussian_bytes, load_gaussian
 from calib.machine.grid import SectorGrid, grid_bytes, load_grid
@@ -120,7 +121,7 @@ class CouplingEntry(Strict):
 
 def _known_kind(name: str) -> str:
     if name not in NAMED:
-        raise ValueError(f"{name!r} is no kind of joint terms")
+        raise ValueError(f"{shown(name)} is no kind of joint terms")
     return name
 
 
@@ -418,12 +419,7 @@ def _parsed(source: bytes, path: Path) -> ModelFile:
     except NotJsonError as e:
         raise OutputError(f"{path}: {e}.") from e
     except ValidationError as e:
-        first = e.errors(include_url=False)[0]
-        if first["type"] == "json_invalid":
-            raise OutputError(f"{path}: is not JSON, or is truncated.") from e
-        place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
-        reason = {"missing": "is missing", "extra_forbidden": "is not known"}.get(first["type"], "has a wrong value")
-        raise OutputError(f"{path}: is not a model of this toolkit: {place[1:101] or 'its top level'} {reason}.") from e
+        raise OutputError(f"{path}: is not a model of this toolkit: {first_wrong(e)}.") from e
     # Who names a run writes every key: without it, a residual model or a payload would be dropped unseen.
     left_out = [name for name in ModelFile.model_fields if name not in model.model_fields_set]
     if model.run is not None and left_out:

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calib.foundations.errors import OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes
-from calib.foundations.json_text import NotJsonError, validated
+from calib.foundations.json_text import NotJsonError, first_wrong, validated
 
 MODEL_FILE = "model.json"
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
@@ -53,7 +53,7 @@ def refuse_other_run(path: Path, run: str | None) -> None:
     except NotJsonError as e:
         raise OutputError(f"{model}: {e}.") from e
     except ValidationError as e:
-        raise OutputError(f"{model}: is not a model of this toolkit: run has a wrong value.") from e
+        raise OutputError(f"{model}: is not a model of this toolkit: {first_wrong(e)}.") from e
     if run != ours:
         raise OutputError(
             f"{path}: names {_said(run)}, and {MODEL_FILE} beside it names {_said(ours)}; "

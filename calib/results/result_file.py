@@ -11,7 +11,7 @@ from calib.assessment.metrics import Metrics
 from calib.foundations.errors import OutputError
 from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.folders import reading_folder
-from calib.foundations.json_text import NotJsonError, validated
+from calib.foundations.json_text import NotJsonError, first_wrong, validated
 from calib.foundations.words import shown
 from calib.machine.run import refuse_other_run
 from calib.presentation.sheets import SHOWN
@@ -89,7 +89,7 @@ def read_result(folder: Path) -> ResultFile:
         except NotJsonError as e:
             raise OutputError(f"{path}: {e}.") from e
         except ValidationError as e:
-            raise OutputError(f"{path}: is not a result of this tool.") from e
+            raise OutputError(f"{path}: is not a result of this tool: {first_wrong(e)}.") from e
         refuse_other_run(path, found.run)
     return found
 

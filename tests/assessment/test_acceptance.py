@@ -895,10 +895,14 @@ def test_two_results_side_by_side_as_a_page(case: Path, tmp_path: Path) -> None:
     before = page.read_bytes()
     assert run("compare", case / "out", other, "-o", page).code == 1
     assert page.read_bytes() == before
-    for edited in ('{"trusted": true, "metrics": []}', json.dumps(result | {"trusted": True, "doubts": ["One."]})):
+    for edited, why in (
+        ('{"trusted": true, "metrics": []}', "doubts is missing"),
+        (json.dumps(result | {"trusted": True, "doubts": ["One."]}), "its top level: it is trusted, and has doubts"),
+        (json.dumps(result | {"trusted": "yes"}), 'trusted is "yes"; it must be a valid boolean'),
+    ):
         (other / "result.json").write_text(edited)
         said = run("compare", case / "out", other, "-o", tmp_path / "new.html")
-        assert (said.code, said.err) == (1, f"Error: {other / 'result.json'}: is not a result of this tool.\n")
+        assert (said.code, said.err) == (1, f"Error: {other / 'result.json'}: is not a result of this tool: {why}.\n")
     assert not (tmp_path / "new.html").exists()
 
 

@@ -125,24 +125,34 @@ def put(value: Any, *path: str | int) -> Change:
 
 
 HOSTILE: dict[str, tuple[Change, str]] = {
-    "schema of the future": (put(2, "schema"), "schema has a wrong value"),
+    "schema of the future": (put(2, "schema"), "schema is 2; it must be 1"),
     "no schema": (lambda c: c.pop("schema"), "schema is missing"),
     "unknown key": (put(1, "code"), "code is not known"),
-    "another file": (put("../../etc/passwd", "urdf"), "urdf has a wrong value"),
-    "text for a number": (put("0", "joints", 0, "deviation", 0), "joints[0].deviation[0] has a wrong value"),
-    "truth for a number": (put(True, "joints", 0, "offset"), "joints[0].offset has a wrong value"),
+    "another file": (put("../../etc/passwd", "urdf"), "urdf is \"../../etc/passwd\"; it must be 'nominal.urdf'"),
+    "text for a number": (
+        put("0", "joints", 0, "deviation", 0),
+        'joints[0].deviation[0] is "0"; it must be a valid number',
+    ),
+    "truth for a number": (put(True, "joints", 0, "offset"), "joints[0].offset is true; it must be a valid number"),
     "NaN": (put(float("nan"), "base", "position", 1), "base.position[1] has a wrong value"),
+    "too large": (
+        put(1e9, "joints", 1, "offset"),
+        "joints[1].offset is 1000000000.0; it must be less than or equal to 1000000",
+    ),
     "infinity": (put(float("inf"), "joints", 1, "offset"), "joints[1].offset has a wrong value"),
     "five of six": (put([0.0] * 5, "joints", 0, "deviation"), "joints[0].deviation[5] is missing"),
-    "no offset": (put(None, "joints", 0, "offset"), "joints[0] has a wrong value"),
-    "zero quaternion": (put([0.0] * 4, "base", "quaternion"), "base.quaternion has a wrong value"),
-    "long quaternion": (put([1.0, 1, 0, 0], "tools", "left", "quaternion"), "tools.left.quaternion has a wrong value"),
+    "no offset": (put(None, "joints", 0, "offset"), "joints[0]: a joint has an offset if, and only if, it moves"),
+    "zero quaternion": (put([0.0] * 4, "base", "quaternion"), "base.quaternion: has the norm 0, and must have 1"),
+    "long quaternion": (
+        put([1.0, 1, 0, 0], "tools", "left", "quaternion"),
+        "tools.left.quaternion: has the norm 1.41421, and must have 1",
+    ),
 }
 
 
 def test_a_list_is_no_model(folder: Path) -> None:
     (folder / "model.json").write_text("[1]", encoding="utf-8")
-    assert refused(folder) == "out/model.json: is not a model of this toolkit: its top level has a wrong value."
+    assert refused(folder) == "out/model.json: is not a model of this toolkit: its top level: it must be an object."
 
 
 @pytest.mark.parametrize("name", HOSTILE)
@@ -269,11 +279,14 @@ TERM = {"reading": "lift", "kind": "cos", "order": 2, "coefficient": 1e-4}
     [
         ([TERM | {"reading": "level"}], "its joint terms are not those of nominal.urdf, or one appears twice"),
         ([TERM, TERM], "its joint terms are not those of nominal.urdf, or one appears twice"),
-        ([TERM | {"order": 0}], "terms[0] has a wrong value"),
-        ([TERM | {"kind": "gain"}], "terms[0] has a wrong value"),
-        ([TERM | {"kind": "magic"}], "terms[0].kind has a wrong value"),
-        ([TERM | {"kind": "moment", "order": 0}], "terms[0] has a wrong value"),
-        ([TERM | {"body": "lift_x"}], "terms[0] has a wrong value"),
+        ([TERM | {"order": 0}], "terms[0]: a term has an order, or a body, if, "),
+        ([TERM | {"kind": "gain"}], "terms[0]: a term has an order, or a body, if, "),
+        ([TERM | {"kind": "magic"}], "terms[0].kind: 'magic' is no kind of joint terms"),
+        (
+            [TERM | {"kind": "moment", "order": 0}],
+            "terms[0]: a term has an order, or a body, if, ",
+        ),
+        ([TERM | {"body": "lift_x"}], "terms[0]: a term has an order, or a body, if, "),
         ([TERM | {"kind": "moment", "order": 0, "body": "lift_w"}], "its joint terms are not those of nominal.urdf"),
         ([TERM | {"kind": "bending", "order": 0, "reading": "rod"}], "its joint terms are not those of nominal.urdf"),
         ([TERM | {"kind": "bending", "order": 0, "reading": ""}], "its joint terms are not those of nominal.urdf"),
