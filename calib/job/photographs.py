@@ -223,12 +223,13 @@ def import_photographs(
             )
     sizes = [one.size for one in seen if not one.left_out]
     size = max(dict.fromkeys(sizes), key=sizes.count, default=(0, 0))
-    named = {one.name: _named(one.name, given.images) for one in seen}
+    images = frozenset(given.images)  # thousands are looked for among thousands
+    named = {one.name: _named(one.name, images) for one in seen}
     owner = {row: name for name, row in reversed(named.items())}
     photographs = tuple(
         one._replace(left_out=_unfit(one, size, named[one.name], owner.get(named[one.name]))) for one in seen
     )
-    lost = [image for image in given.images if image not in named.values()]
+    lost = [image for image in given.images if image not in owner]
     if lost:
         more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
         remarks += (f"{readings}: there is no photograph {shown(lost[0])}{more} in {folder}",)

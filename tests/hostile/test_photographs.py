@@ -1,6 +1,8 @@
 """Photographs in small files that would cost OpenCV the square of what they show, or much memory for each pixel."""
 
+import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +10,8 @@ import pytest
 cv2 = pytest.importorskip("cv2")
 
 from calib.foundations.arrays import Array  # noqa: E402
+from calib.foundations.errors import MeasurementError  # noqa: E402
+from calib.job.photographs import import_photographs  # noqa: E402
 from calib.measurement.formats import images  # noqa: E402
 from calib.measurement.formats.images import MOST_OUTLINES, MOST_SEARCHED, detector  # noqa: E402
 from calib.measurement.prints import Print  # noqa: E402
@@ -118,3 +122,17 @@ def test_what_could_be_a_marker_is_compared_with_those_of_the_board_alone(monkey
     monkeypatch.setattr(cv2.aruco, "CharucoDetector", kept)
     detector(Print("charuco", (7, 5), 0.030, 0.022, "DICT_7X7_1000"))
     assert known == [17]
+
+
+def test_names_of_thousands_of_photographs_are_looked_for_once(tmp_path: Path) -> None:
+    """Ten thousand, and readings of twenty thousand, took as many looks as the product of both."""
+    many = 5000
+    (tmp_path / "photos").mkdir()
+    for k in range(many):
+        (tmp_path / "photos" / f"{k}.png").touch()
+    rows = [f"{many + k}.png,0" for k in range(4 * many)]
+    (tmp_path / "readings.csv").write_text("\n".join(["image,joint_1 [deg]", *rows]))
+    begun = time.process_time()
+    with pytest.raises(MeasurementError, match="0 of 5000 photographs can be used"):
+        import_photographs(tmp_path / "photos", CHARUCO, tmp_path / "readings.csv")
+    assert time.process_time() - begun < 3.0
