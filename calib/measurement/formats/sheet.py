@@ -135,13 +135,16 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
         (a, b)
         for a, words in own.items()
         for b, others in other.items()
-        if by in (None, first.titles[a], second.titles[b]) and len(words & others) == min(len(words), len(others))
+        if by in (None, first.titles[a], second.titles[b])
+        and len(words.keys() & others.keys()) == min(len(words), len(others))
     ]
-    partners = {tuple(_partners(first, a, second, b)) for a, b in ways}
-    if len(partners) > 1:
+    pairs = _partners(own[ways[0][0]], other[ways[0][1]]) if ways else []
+    # One by one, and no more than the first that differs: a hundred columns of each are ten thousand ways.
+    if any(_partners(own[a], other[b]) != pairs for a, b in ways[1:]):
+        naming = dict.fromkeys(first.titles[a] for a, _ in ways)
         raise MeasurementError(
-            f"{first.where}, {second.where}: rows could be joined by {listed([first.titles[a] for a, _ in ways])}; "
-            "say which by --by, or --by order."
+            f"{first.where}, {second.where}: rows could be joined by {listed(naming)}; say which by --by, or --by "
+            "order."
         )
     if not ways:
         if by is not None:
@@ -150,7 +153,6 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
             )
         return _in_order(first, second, "no column tells which rows belong together")
     a, b = ways[0]
-    pairs = _partners(first, a, second, b)
     rest = [k for k in range(len(second.titles)) if k != b]
     rows = tuple((*first.rows[i], *(second.rows[j][k] for k in rest)) for i, j in pairs)
     said = [f"{counted(len(rows), 'row')} joined by {first.titles[a]!r} and {second.titles[b]!r}"]
@@ -203,13 +205,13 @@ def stacked(sheets: Sequence[Sheet], title: str) -> Sheet:
     return Sheet((*first.titles, title), rows, first.where, (*dict.fromkeys(remarks), said))
 
 
-def _naming(sheet: Sheet) -> dict[int, frozenset[str]]:
-    """Return the words of columns that may name rows, by number: two or more, each once; decimals name nothing."""
-    found: dict[int, frozenset[str]] = {}
+def _naming(sheet: Sheet) -> dict[int, dict[str, int]]:
+    """Return the rows of the names in columns that may name rows, by number: two or more, each once; no decimals."""
+    found: dict[int, dict[str, int]] = {}
     for k in range(len(sheet.titles)):
-        words = [_name(row[k]) for row in sheet.rows]
-        if len(words) > 1 and all(words) and len(set(words)) == len(words):
-            found[k] = frozenset(words)
+        rows = {_name(row[k]): number for number, row in enumerate(sheet.rows)}
+        if len(rows) > 1 and "" not in rows and len(rows) == len(sheet.rows):
+            found[k] = rows
             if len(found) == _MOST_NAMING:
                 break
     return found
@@ -223,9 +225,8 @@ def _name(cell: str) -> str:
     return cell.strip().lower()
 
 
-def _partners(first: Sheet, a: int, second: Sheet, b: int) -> list[tuple[int, int]]:
-    where = {_name(row[b]): j for j, row in enumerate(second.rows)}
-    return [(i, where[_name(row[a])]) for i, row in enumerate(first.rows) if _name(row[a]) in where]
+def _partners(first: Mapping[str, int], second: Mapping[str, int]) -> list[tuple[int, int]]:
+    return [(i, second[name]) for name, i in first.items() if name in second]
 
 
 def _apart(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
