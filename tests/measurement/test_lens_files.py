@@ -72,6 +72,12 @@ def test_kalibr(tmp_path: Path) -> None:
     assert read(tmp_path, KALIBR) == (LENS._replace(k3=0.0), (1280, 720))
 
 
+def test_a_camera_info_as_ros2_topic_echo_prints_it(tmp_path: Path) -> None:
+    text = "height: 720\nwidth: 1280\ndistortion_model: plumb_bob\nd: [-0.1, 0.02, 0.0001, -0.0002, 0.003]\n"
+    text += "k: [900.5, 0, 640.25, 0, 901.5, 360.75, 0, 0, 1]\nbinning_x: 1\nbinning_y: 0\n"
+    assert read(tmp_path, text + "roi: {x_offset: 0, y_offset: 0, height: 0, width: 0}\n") == (LENS, (1280, 720))
+
+
 def test_opencv(tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2")
     storage = cv2.FileStorage(str(tmp_path / "own.yaml"), cv2.FILE_STORAGE_WRITE)
@@ -105,6 +111,23 @@ def test_opencv(tmp_path: Path) -> None:
         (ROS.replace("720", "[720]"), "image_height is no number; allowed are whole numbers of pixels from 1"),
         (KALIBR.replace("[1280, ", "["), "resolution is no list of two numbers"),
         (KALIBR.replace("1280", "0"), "the width of resolution is '0'; allowed are whole numbers"),
+        (ROS.replace("distortion_coefficients", "distortion_coefficient"), "states no distortion; it is called"),
+        (ROS.partition("distortion_model")[0], "states no distortion; it is called"),
+        (
+            ROS.replace(", -0.0002, 0.003", "").replace("cols: 5", "cols: 3"),
+            "the distortion has 3 numbers; allowed are",
+        ),
+        (ROS.replace(", 0.003", ""), "the distortion has 4 numbers, and says that it has 1 x 5"),
+        (
+            ROS.replace("0.003]", "0.003, 0, 0, 1]").replace("cols: 5", "cols: 8"),
+            "the distortion has 8 numbers; read are",
+        ),
+        (ROS.replace("plumb_bob", "[plumb_bob]"), "is not one of plumb_bob"),
+        (ROS + "fisheye_model: 1\n", "the lens is a fisheye"),
+        (ROS + "binning_x: 2\nbinning_y: 2\n", "binning_x is '2': the numbers are of the whole sensor"),
+        (ROS + "roi: {x_offset: 8, y_offset: 0}\n", "roi.x_offset is '8': the numbers are of the whole sensor"),
+        ("K: [[1, 0, 2, 0], [1, 2], [0, 0, 1]]\nD: []", "the camera matrix has rows that are not equally long"),
+        (KALIBR.replace("radtan", "none"), "the distortion has 4 numbers; read are none"),
         (KALIBR.replace("0.0001,", "0.0001, 0, 0, 1,"), "the distortion has 7 numbers; read are k1, k2, p1, p2"),
     ],
 )

@@ -19,7 +19,11 @@ _LARGEST = 1_000_000
 _HEADER, _TAG = re.compile(r"\A%YAML[: ]1\.\d\s*"), re.compile(r"!!opencv-matrix")
 _WHOLE = re.compile(r"\+?[0-9]{1,9}")
 _MATRIX = ("camera_matrix", "cameraMatrix", "CameraMatrix", "K", "k")
-_BENT = ("distortion_coefficients", "dist_coeffs", "distCoeffs", "D", "d")
+_BENT = ("distortion_coefficients", "dist_coeffs", "dist_coeff", "distCoeffs", "D", "d")
+# How many numbers of distortion OpenCV has; none where a lens has none.
+_COUNTS = (0, 4, 5, 8, 12, 14)
+# In the order of precedence: width and height of images.
+_SIDES = (("image_width", "image_height"), ("width", "height"))
 _MODELS = {"plumb_bob": BENT, "rational_polynomial": (*BENT, *RATIONAL), "radtan": BENT[:4]}
 
 
@@ -39,7 +43,8 @@ def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
         if len(focal) != 4:
             raise JobError(f"{path}: intrinsics has {len(focal)} numbers; four are fu, fv, pu, pv.")
         bent = _numbers(path, "distortion_coeffs", cam.get("distortion_coeffs") or [])
-        return Lens(*focal, **_bent(path, bent, BENT[:4])), _resolution(path, cam.get("resolution"))
+        known = BENT[:4] if cam.get("distortion_model") == "radtan" else ()
+        return Lens(*focal, **_bent(path, bent, known)), _resolution(path, cam.get("resolution"))
     matrix = next((found[key] for key in _MATRIX if key in found), None)
     if matrix is None:
         raise JobError(f"{path}: holds no lens: neither camera_matrix of OpenCV or ROS, nor cam0 of Kalibr.")
@@ -51,12 +56,39 @@ def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
             f"{path}: the camera matrix is {', '.join(f'{k:g}' for k in K)}; "
             "read is fx, 0, cx, 0, fy, cy, 0, 0, 1, row by row."
         )
-    model = found.get("distortion_model", "plumb_bob")
-    refuse_other(model, _MODELS, f"{path}: distortion_model")
-    bent = _numbers(path, "the distortion", next((found[key] for key in _BENT if key in found), []))
-    size = _size(path, {name: found.get(name) for name in ("image_width", "image_height")})
-    names = (*BENT, *RATIONAL)
+    _refuse_others(path, found)
+    names: tuple[str, ...] = (*BENT, *RATIONAL)
+    if (model := found.get("distortion_model")) is not None:
+        refuse_other(str(model), _MODELS, f"{path}: distortion_model")
+        names = _MODELS[model]
+    # A lens without a distortion would be taken for one that has none.
+    stated = next((key for key in _BENT if key in found), None)
+    if stated is None:
+        raise JobError(
+            f"{path}: states no distortion; it is called {', '.join(_BENT)}: four zeros where the lens has none."
+        )
+    bent = _numbers(path, "the distortion", found[stated])
+    if len(bent) not in _COUNTS:
+        raise JobError(f"{path}: the distortion has {len(bent)} numbers; allowed are {', '.join(map(str, _COUNTS))}.")
+    sides = next((sides for sides in _SIDES if sides[0] in found), _SIDES[0])
+    size = _size(path, {name: found.get(name) for name in sides})
     return Lens(K[0], K[4], K[2], K[5], **_bent(path, bent, names)), size
+
+
+def _refuse_others(path: Path, found: Mapping[str, Any]) -> None:
+    """Raise JobError for a lens of a fisheye, as OpenCV marks it, and for one whose images are cut out or binned."""
+    if found.get("fisheye_model", "0") not in ("0", "false"):
+        raise JobError(f"{path}: fisheye_model: the lens is a fisheye, whose distortion is another and not read.")
+    roi = found.get("roi")
+    stated = [(name, found.get(name), ("0", "1")) for name in ("binning_x", "binning_y")]
+    if isinstance(roi, Mapping):
+        stated += [(f"roi.{name}", roi.get(name), ("0", "0")) for name in ("x_offset", "y_offset")]
+    for name, value, whole in stated:
+        if value is not None and value not in whole:
+            raise JobError(
+                f"{path}: {name} is {shown(str(value))}: the numbers are of the whole sensor, and images are of a part "
+                "of it, or binned; allowed is 0. Write the lens as it is in the images."
+            )
 
 
 def _yaml(path: Path) -> Mapping[str, Any]:
@@ -78,9 +110,15 @@ def _numbers(path: Path, what: str, value: Any) -> list[float]:
     """Return numbers of a list, of rows, or of a matrix with data."""
     data = value.get("data") if isinstance(value, Mapping) else value
     rows: list[Any] = data if isinstance(data, list) else [None]
+    if len({len(row) if isinstance(row, list) else 0 for row in rows}) > 1:
+        raise JobError(f"{path}: {what} has rows that are not equally long.")
     flat = [_number(one) for row in rows for one in (row if isinstance(row, list) else [row])]
     if not all(map(math.isfinite, flat)):
         raise JobError(f"{path}: {what} is not a list of numbers.")
+    if isinstance(value, Mapping):
+        sides = [str(value.get(name)) for name in ("rows", "cols")]
+        if all(map(_WHOLE.fullmatch, sides)) and math.prod(map(int, sides)) != len(flat):
+            raise JobError(f"{path}: {what} has {len(flat)} numbers, and says that it has {' x '.join(sides)}.")
     return flat
 
 
@@ -92,7 +130,7 @@ def _number(value: Any) -> float:
 def _bent(path: Path, values: list[float], names: tuple[str, ...]) -> dict[str, float]:
     # OpenCV has up to fourteen: thin prisms and a tilted sensor beside these.
     if any(values[len(names) :]):
-        raise JobError(f"{path}: the distortion has {len(values)} numbers; read are {', '.join(names)}.")
+        raise JobError(f"{path}: the distortion has {len(values)} numbers; read are {', '.join(names) or 'none'}.")
     return dict(zip(names, values, strict=False))
 
 
