@@ -13,7 +13,7 @@ from calib.foundations.files import LARGEST_JSON, read_bytes
 from calib.foundations.folders import reading_folder
 from calib.foundations.json_text import NotJsonError, first_wrong, validated
 from calib.foundations.words import shown
-from calib.machine.run import refuse_other_run
+from calib.machine.run import Sha256, refuse_other_run
 from calib.presentation.sheets import SHOWN
 
 # Of rows and parameters, and of errors in m, rad or px: beyond all results.
@@ -70,7 +70,7 @@ class ResultFile(_Part):
     outliers: dict[str, tuple[OutlierEntry, ...]]
     versions: dict[str, Any]
     inputs: dict[str, str]
-    run: str | None = None
+    run: Sha256 | None = None
 
     @model_validator(mode="after")
     def _has_no_doubts_where_it_is_trusted(self) -> "ResultFile":

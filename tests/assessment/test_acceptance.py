@@ -898,6 +898,7 @@ def test_two_results_side_by_side_as_a_page(case: Path, tmp_path: Path) -> None:
     for edited, why in (
         ('{"trusted": true, "metrics": []}', "doubts is missing"),
         (json.dumps(result | {"trusted": True, "doubts": ["One."]}), "its top level: it is trusted, and has doubts"),
+        (json.dumps(result | {"run": "a\nb"}), "run is \"a\\nb\"; string should match pattern '^[0-9a-f]{64}$'"),
         (json.dumps(result | {"trusted": "yes"}), 'trusted is "yes"; it must be a valid boolean'),
     ):
         (other / "result.json").write_text(edited)
