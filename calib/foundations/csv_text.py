@@ -24,6 +24,10 @@ _BEGINNING = re.compile(rf"((?:^|[{_SEPARATORS}]){_BEFORE})(?=[{_SIGNS}])")
 _MARK = re.compile(rf"((?:^|[{_SEPARATORS}]){_BEFORE})'(?=[{_SIGNS}])")
 # "#" begins a comment in our own tables.
 _TO_QUOTE = re.compile(rf"[\"#{_SEPARATORS}]")
+# A row may begin with an error of a spreadsheet, as #N/A, or with a number that it had no room for, ####. Errors are in
+# capitals, in the language of the spreadsheet, with ! or ? at their end; those for what is not available have none.
+_ERROR = re.compile(r"\s*#(?:(##+)[ ]*[,;|\t]|([^\s#,;|]+)(?:[ ]*[,;|\t]|[ ]+[-+.]?[0-9]))")
+_NOT_AVAILABLE = frozenset(("N/A", "N/D", "N/B", "NV", "I/T", "Н/Д", "Δ/Υ", "YOK", "HIÁNYZIK", "GETTING_DATA"))
 # "+" and "-" alone are sides of approach.
 _SIDES = ("+", "-")
 
@@ -46,7 +50,7 @@ def lines_of(data: bytes, where: str, what: str, error: type[CalibError]) -> lis
         raise error(f"{where}: has a NUL byte after {nul} characters; {what} is UTF-8 text.")
     lines = []
     for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
-        if line.strip() and not line.lstrip().startswith("#"):
+        if line.strip() and (not line.lstrip().startswith("#") or begins_with_error(line)):
             at = f"{where}:{number}"
             if len(line) > _LONGEST_LINE:
                 raise error(f"{at}: is longer than the {_LONGEST_LINE} characters that are allowed.")
@@ -56,6 +60,15 @@ def lines_of(data: bytes, where: str, what: str, error: type[CalibError]) -> lis
                 raise error(f"{at}: a quote is not closed, or something follows it.") from e
             lines.append((at, [cell.strip() for cell in cells]))
     return lines
+
+
+def begins_with_error(line: str) -> bool:
+    """Return whether a row begins with an error of a spreadsheet."""
+    found = _ERROR.match(line)
+    if found is None or found[1]:
+        return found is not None
+    word = found[2]
+    return (word.isupper() and word.endswith(("!", "?"))) or word.upper() in _NOT_AVAILABLE
 
 
 def has_formula(text: str) -> bool:

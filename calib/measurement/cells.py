@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+from calib.foundations.csv_text import begins_with_error
 from calib.foundations.errors import MeasurementError
 
 LONGEST_LINE = 100_000
@@ -22,10 +23,6 @@ _OTHERS = {
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # What exporters write before a line that is no row; behind a percent sign a name may stand, as rostopic has it: %time.
 _COMMENT = re.compile(r"\s*(?:#|//|%(?:$|[\s%=-]))")
-# A row may begin with an error of a spreadsheet, as #N/A, or with a number that it had no room for, ####. Errors are in
-# capitals, in the language of the spreadsheet, with ! or ? at their end; those for what is not available have none.
-_ERROR = re.compile(r"\s*#(?:(##+)[ ]*[,;|\t]|([^\s#,;|]+)(?:[ ]*[,;|\t]|[ ]+[-+.]?[0-9]))")
-_NOT_AVAILABLE = frozenset(("N/A", "N/D", "N/B", "NV", "I/T", "Н/Д", "Δ/Υ", "YOK", "HIÁNYZIK", "GETTING_DATA"))
 _LINE_END = re.compile(rb"\r\n?|\n")
 
 
@@ -50,16 +47,7 @@ def lines(data: bytes, where: str) -> Iterator[list[Line]]:
 
 def is_comment(line: str) -> bool:
     """Return whether a line is a comment: it begins with ``#`` or, as exporters have it, with ``//`` or ``%``."""
-    return _COMMENT.match(line) is not None and not _begins_with_error(line)
-
-
-def _begins_with_error(line: str) -> bool:
-    """Return whether a row begins with an error of a spreadsheet."""
-    found = _ERROR.match(line)
-    if found is None or found[1]:
-        return found is not None
-    word = found[2]
-    return (word.isupper() and word.endswith(("!", "?"))) or word.upper() in _NOT_AVAILABLE
+    return _COMMENT.match(line) is not None and not begins_with_error(line)
 
 
 def in_bytes(data: bytes, where: str) -> bytes:

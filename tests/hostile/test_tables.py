@@ -150,6 +150,14 @@ def test_memory_is_the_file_and_its_numbers(tmp_path: Path, monkeypatch: pytest.
     assert many - few < 1.7 * (most - least)
 
 
+def test_a_row_of_a_dh_table_that_begins_with_an_error_of_a_spreadsheet_is_no_comment() -> None:
+    """The arm would have a joint less, and nobody be told."""
+    rows = "a [mm],d [mm],alpha [deg],theta [deg]\n0,100,90,0\n#DIV/0!,0,0,0\n# 1,2,3,4\n0,100,0,0\n"
+    with pytest.raises(RobotError, match=r"^dh\.csv:3: column 'a': '#DIV/0!' is not a number"):
+        dh.parse_dh(rows.encode(), "dh.csv")
+    assert len(dh.parse_dh(rows.replace("#DIV/0!", "# 0").encode(), "dh.csv").rows) == 2
+
+
 def test_a_dh_table_of_another_encoding_and_without_end() -> None:
     good = b"joint, type, a [mm], d [mm], alpha [deg], theta [deg]\n"
     row = b"j%d, revolute, 0, 0, 0, 0\n"
