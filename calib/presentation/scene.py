@@ -497,7 +497,7 @@ def _legend(scene: Scene, links: Sequence[_Link], errors: Sequence[Array], edges
         notes.append(
             f"{missing} shapes are more than the {MOST_SHAPES} that are drawn; there are sticks in their place."
             if missing > MOST_SHAPES
-            else f"{shapes} not found, damaged or too large, drawn as sticks."
+            else f"{shapes} not found, damaged, too large or of a format that is not read, drawn as sticks."
         )
     figures = [
         {"name": name, "rms": f"{np.sqrt(np.mean(e**2)):.3f}", "max": f"{e.max():.3f}"}

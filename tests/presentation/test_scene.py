@@ -385,6 +385,9 @@ def test_missing_meshes_become_sticks_and_are_counted(tmp_path: Path) -> None:
     assert "1 shape not found" in text
     folder = tmp_path / "arm" / "meshes"
     folder.mkdir(parents=True)
+    (folder / "base.gltf").write_text("{}")  # it is there, and may be sound
+    other = render_scene(scene(shape=MESH.replace(".stl", ".gltf"), mesh_roots=(tmp_path,)))
+    assert "1 shape not found, damaged, too large or of a format that is not read, drawn as sticks." in other
     (folder / "base.stl").write_bytes(trimesh.creation.box(extents=(0.2, 0.3, 0.1)).export(file_type="stl"))
     found = render_scene(scene(shape=MESH, mesh_roots=(tmp_path,)))
     assert "not found" not in legend_of(found)
