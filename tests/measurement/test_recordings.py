@@ -1,6 +1,7 @@
 """Recordings of ROS 1, ROS 2 and MCAP, written here, and logs of others, as tables."""
 
 import bz2
+import contextlib
 import csv
 import io
 import json
@@ -409,6 +410,27 @@ PACKED = (("ros1", "BZ2"), ("ros1", "LZ4"), ("mcap", "STORAGE"), ("ros2", "MESSA
 
 
 _LAUGHS = "".join(f"a{k + 1}: &a{k + 1} [{', '.join([f'*a{k}'] * 9)}]\n" for k in range(9))
+
+
+def test_what_metadata_say_of_files_and_messages_is_held_against_what_is_there(tmp_path: Path) -> None:
+    import sqlite3
+
+    path = recording(tmp_path, "ros2")
+    metadata, file = path / "metadata.yaml", path / "ros2.db3"
+    text = metadata.read_text()
+    with contextlib.closing(sqlite3.connect(file)) as database:
+        database.execute("DELETE FROM messages WHERE id % 2 = 0")
+        database.commit()
+    assert read_topic(path, "/joint_states").remarks[-1] == "metadata.yaml tells of 30 messages, and 16 are there"
+    metadata.write_text(text.replace("- ros2.db3\n", "- ros2.db3\n  - x/ros2.db3\n"))
+    with pytest.raises(MeasurementError, match=r"metadata\.yaml: lists 'ros2\.db3' more than once\.$"):
+        topics(path)
+    metadata.write_text(text)
+    (path / "ros2_1.db3").write_bytes(file.read_bytes())
+    with pytest.raises(
+        MeasurementError, match=r"metadata\.yaml: does not list 'ros2_1\.db3', which is there as well; "
+    ):
+        topics(path)
 
 
 @pytest.mark.parametrize(

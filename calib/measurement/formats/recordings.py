@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator
 from itertools import compress
 from operator import itemgetter
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -98,6 +98,8 @@ def read_topic(path: Path, name: str) -> Sheet:
     recorded, stamped = array("d"), array("d")
     with _opened(path) as reader:
         zero = int(reader.start_time)
+        # Of one file it is counted, and not told.
+        stated = sum(one.msgcount for one in reader.connections if one.topic == name) if path.is_dir() else 0
         for _, kind, told, time, message in _messages(reader, path, name):
             kinds.append(kind)
             of = of or told.of
@@ -126,6 +128,8 @@ def read_topic(path: Path, name: str) -> Sheet:
     titles, rows, remarks = _joint_rows(joints, at) if of == "joints" else (_TITLES[of], *_point_rows(points))
     if others:
         remarks.append(f"{counted(others, 'message')} of another type left out")
+    if len(kinds) < stated:
+        remarks.append(f"metadata.yaml tells of {counted(stated, 'message')}, and {len(kinds)} are there")
     if not rows:
         raise MeasurementError(f"{path}: no message of {shown(name)} has positions of joints.")
     # So do trackers tell that they have lost their target.
@@ -312,13 +316,29 @@ def _size(path: Path) -> int:
 
 
 def _refuse_metadata(file: Path) -> None:
-    """Raise MeasurementError where the metadata of a folder would take long to build; rosbags builds what it finds."""
+    """Raise MeasurementError where the metadata of a folder would take long to build; rosbags builds what it finds.
+
+    Also where they list a file twice, or not all that are there: messages would be doubled, or missing in silence.
+    """
     from ruamel.yaml import YAML  # noqa: PLC0415 - of rosbags
 
-    if file.exists():
-        text = read_bytes(file, MeasurementError, _LARGEST_METADATA).decode()
-        if wrong := trouble(YAML(typ="safe", pure=True).parse(text), _MOST_METADATA):
-            raise MeasurementError(f"{file}: {wrong}.")
+    if not file.exists():
+        return
+    text = read_bytes(file, MeasurementError, _LARGEST_METADATA).decode()
+    if wrong := trouble(YAML(typ="safe", pure=True).parse(text), _MOST_METADATA):
+        raise MeasurementError(f"{file}: {wrong}.")
+    told = YAML(typ="safe", pure=True).load(text)
+    try:
+        names = [PurePath(name).name for name in told["rosbag2_bagfile_information"]["relative_file_paths"]]
+    except (KeyError, TypeError):
+        return  # rosbags says it
+    if twice := [name for name, times in Counter(names).items() if times > 1]:
+        raise MeasurementError(f"{file}: lists {listed(twice)} more than once.")
+    if others := [name for name in _recorded(file.parent) if name not in names]:
+        raise MeasurementError(
+            f"{file}: does not list {listed(others)}, which is there as well; move it away, or let ros2 bag reindex "
+            "write the list anew."
+        )
 
 
 def _refuse_irregular(path: Path) -> None:
