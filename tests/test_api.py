@@ -1,7 +1,9 @@
 """``import calib``: what it offers, what it does not load, and the five lines that it promises."""
 
 import ast
+import copy
 import inspect
+import pickle
 import subprocess
 import sys
 import textwrap
@@ -200,6 +202,14 @@ def test_python_writes_the_folder_of_the_command(found: calib.Calibration, tmp_p
     (out / "mine.txt").write_text("mine", encoding="utf-8")
     with pytest.raises(calib.OutputError, match=r"holds 'mine.txt', which is no result"):
         calib.save(found, out)
+
+
+def test_what_is_found_goes_to_other_processes(found: calib.Calibration) -> None:
+    machine, held_out = found.machine, found.sets[1].data
+    targets = calib.commands.read_targets(CASE / TABLE, machine)
+    for made in (found, found.fit, machine, calib.verify(machine, held_out, limit=1e-3), targets, held_out):
+        for again in (pickle.loads(pickle.dumps(made)), copy.deepcopy(made)):
+            assert repr(again) == repr(made)
 
 
 def test_rows_that_were_fitted_prove_nothing(found: calib.Calibration) -> None:

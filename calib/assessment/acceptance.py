@@ -12,7 +12,6 @@ found anew, in every set-up of the rows by itself, each takes six of them.
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -221,7 +220,7 @@ def verify(
             anew[what] = _found_anew(machine, data, sigma, what, changed=not as_calibrated.test.passed)
         elif what == wanted:
             raise MeasurementError(f"{data.where}: {why}.")
-    return Verification(as_calibrated, MappingProxyType(anew), limit, wanted)
+    return Verification(as_calibrated, anew, limit, wanted)
 
 
 def _of_this_machine(machine: CalibratedMachine, data: Measurements) -> Measurements:

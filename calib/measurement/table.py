@@ -81,11 +81,19 @@ class Table:
     def __len__(self) -> int:
         return len(self.lines)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Go to other processes and into copies, which no read-only view of a mapping does by itself."""
+        return _table, (dict(self.columns), self.lines, self.where)
+
     def refuse(self, wrong: BoolArray, said: Callable[[int], str]) -> None:
         """Raise MeasurementError for the first row that is wrong (N,), with what is ``said`` of it."""
         if wrong.any():
             row = int(np.argmax(wrong))
             raise MeasurementError(f"{self.where}:{self.lines[row]}: {said(row)}")
+
+
+def _table(columns: dict[str, Column], numbers: IntArray, where: str) -> Table:
+    return Table(MappingProxyType(columns), numbers, where)
 
 
 @runtime_checkable
@@ -307,7 +315,7 @@ def _whole(
     columns = {name: Column(name, unit, column) for (name, unit, _), column in zip(header, values, strict=True)}
     if chosen.orientation is not None and not (chosen.where_present and _lacking(chosen.orientation, columns)):
         columns = _turned(columns, chosen.orientation, numbers, where)
-    return Table(MappingProxyType(columns), read_only_view(numbers), where)
+    return _table(columns, read_only_view(numbers), where)
 
 
 def _titles(orientation: str) -> tuple[str, ...]:
