@@ -44,17 +44,18 @@ def drawn(shown: Shown) -> RenderableType:
 def write(text: str) -> None:
     """Write text to standard output as it is; what its encoding lacks is written as an escape.
 
-    Raises OutputError when it cannot be written, such as to a file on a full disk.
+    Where whoever was reading has had enough, as ``head`` has, the rest is dropped: what a command does, and its exit
+    code, are as if all had been read. Raises OutputError when it cannot be written, such as to a file on a full disk.
     """
     encoding = sys.stdout.encoding or "utf-8"
     try:
         sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
         sys.stdout.flush()
-    except BrokenPipeError:  # whoever was reading has had enough
-        raise
     except OSError as e:
         # What is still to be written is dropped, or the interpreter would try, and fail, once more as it ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(e, BrokenPipeError):
+            return
         raise OutputError(f"standard output: cannot be written ({e.strerror}).") from e
 
 

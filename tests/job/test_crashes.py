@@ -1,5 +1,6 @@
 """What the commands say when a disk is full, and that older results outlive it."""
 
+import os
 import resource
 import shutil
 import subprocess
@@ -28,6 +29,16 @@ def test_standard_output_on_a_full_disk(folder: Path) -> None:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False)
     said = b"Error: standard output: cannot be written (No space left on device).\n"
     assert (done.returncode, done.stderr) == (1, said)
+
+
+def test_the_exit_code_is_of_the_command_and_not_of_who_read_enough(folder: Path) -> None:
+    """``calib check job | head -n 1`` under ``set -o pipefail``."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-W", "error", "-c", MAIN, "check", JOB]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
