@@ -20,7 +20,7 @@ def select(selection: object, names: Sequence[str], what: str, *words: str) -> l
         return list(names) if selection == "all" else []
     chosen: set[str] = set()
     for pattern in listed_names(selection, what, *words):
-        found = fnmatch.filter(names, pattern)
+        found = named(pattern, names)
         if not found:
             stem = pattern.removesuffix(".*")
             likest = near(stem, [*names, *(name.rpartition(".")[0] for name in names)], 1)
@@ -28,6 +28,17 @@ def select(selection: object, names: Sequence[str], what: str, *words: str) -> l
             raise JobError(f"{what}: {stem!r} matches no joint of the arm; {hint}")
         chosen.update(found)
     return [name for name in names if name in chosen]
+
+
+def named(pattern: str, names: Sequence[str]) -> list[str]:
+    """Return the names that a name or glob stands for.
+
+    A name stands for itself first, whatever it would match as a glob; and where brackets match nothing as those of a
+    glob, they are those of a name, as in ``finger[0].*``.
+    """
+    if pattern in names:
+        return [pattern]
+    return fnmatch.filter(names, pattern) or fnmatch.filter(names, pattern.replace("[", "[[]"))
 
 
 def listed_names(selection: object, what: str, *words: str) -> list[str]:

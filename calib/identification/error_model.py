@@ -1,6 +1,5 @@
 """The error model: which parameters of a robot and its set-up are unknown."""
 
-import fnmatch
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +14,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, RobotError
 from calib.foundations.ranges import MOST_TERMS, refuse_beyond
-from calib.foundations.selection import Selection, listed_names, select
+from calib.foundations.selection import Selection, listed_names, named, select
 from calib.foundations.words import refuse_other
 from calib.identification.machine import POSE, Frames, Layout
 from calib.identification.parameters import TERM_WIDTH, Parameter, ParameterKind, Priors, width
@@ -304,8 +303,11 @@ def _loop_ends(robot: Robot) -> set[tuple[str, str]]:
 
 def _select_parts(selection: Selection, names: Sequence[str], owners: Collection[str], what: str) -> list[str]:
     """Return the chosen names like ``joint_3.rx``; a joint's own name, which may itself hold dots, is all of its."""
-    patterns = listed_names(selection, what)
-    return select([p if fnmatch.filter(names, p) and p not in owners else f"{p}.*" for p in patterns], names, what)
+    chosen: list[str] = []
+    for pattern in listed_names(selection, what):
+        own = [name for name in names if pattern in owners and name.rpartition(".")[0] == pattern]
+        chosen += own or [pattern if named(pattern, names) else f"{pattern}.*"]
+    return select(chosen, names, what)
 
 
 def _chosen_terms(robot: Robot, terms: Mapping[str, object] | Sequence[JointTerm]) -> tuple[JointTerm, ...]:

@@ -1,6 +1,5 @@
 """Identification: measurements in, parameters with their doubts out."""
 
-import fnmatch
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -12,6 +11,7 @@ from calib.foundations.arrays import Array, read_only, read_only_view
 from calib.foundations.errors import IdentificationError, JobError
 from calib.foundations.linear import one_thread
 from calib.foundations.ranges import RANGES
+from calib.foundations.selection import named
 from calib.foundations.words import counted, refuse_other
 from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow, Covariance
@@ -451,10 +451,12 @@ def matching(
     if free is None:
         return parameters
     names = [parameter.name for parameter in parameters]
+    chosen: set[str] = set()
     for pattern in free:
-        if not fnmatch.filter(names, pattern):
+        if not (found := named(pattern, names)):
             raise JobError(f"{where}: {pattern!r} matches none of the error model's parameters.")
-    return tuple(p for p in parameters if p.nuisance or any(fnmatch.fnmatchcase(p.name, pattern) for pattern in free))
+        chosen.update(found)
+    return tuple(p for p in parameters if p.nuisance or p.name in chosen)
 
 
 def _stated(model_sigmas: Sequence[float | None] | None) -> tuple[float | None, ...] | None:

@@ -8,6 +8,7 @@ import pytest
 import calib
 from calib.foundations.errors import JobError
 from calib.identification.error_model import with_terms
+from calib.identification.identify import matching
 from calib.robot.terms import JointTerm
 from tests.support import machines
 from tests.support.machines import urdf
@@ -141,6 +142,27 @@ def test_what_is_of_another_kind_is_refused_where_it_is_made(made: Callable[[], 
     with pytest.raises(JobError) as caught:
         made()
     assert str(caught.value).startswith(sentence)
+
+
+def test_brackets_of_a_name_are_no_glob_of_it() -> None:
+    """A name stands for itself, also beside ``finger0``, which it would match as a glob."""
+    text = machines.INLINE["gantry"]
+    for old, new in {"bridge": "finger[0]", "carriage": "finger[1]", "ram": "finger0"}.items():
+        text = text.replace(f'<joint name="{old}"', f'<joint name="{new}"')
+    robot = machines.load(text, "tip")
+    model = calib.error_model(
+        robot, offsets=["finger[0]"], placements=["finger[0].rx", "finger[1]"], terms={"gain": ["finger[0]"]}
+    )
+    assert model.offsets == ("finger[0]",)
+    assert model.placements == (("finger[0]", "rx"), *(("finger[1]", c) for c in ("tx", "ty", *R)))
+    assert [term.reading for term in model.robot.terms] == ["finger[0]"]
+    assert calib.error_model(robot, placements=["finger[1].t*"]).placements == (
+        ("finger[1]", "tx"),
+        ("finger[1]", "ty"),
+    )
+    assert calib.error_model(robot, offsets=["finger[[]?]"]).offsets == ("finger[0]", "finger[1]")
+    freed = matching(model.parameters(("tool",)), ["finger[0].offset", "base.*"])
+    assert [p.name for p in freed][:2] == ["finger[0].offset", "base.x"]
 
 
 def test_a_joint_may_not_be_called_like_a_frame() -> None:
