@@ -437,6 +437,8 @@ def _split(title: str) -> tuple[str, str | None]:
         raise HeaderError(f"the header {shown(title)} is longer than {_LONGEST_WORD} characters")
     if unit is None and not holds_words(name):
         return name_and_unit(name)
+    if name.startswith(APPROACH) and unit is not None and symbol_of(unit) in (None, "1"):
+        return title.strip(), None  # of a joint whose own name ends in brackets
     return name, unit and (symbol_of(unit) or unit)
 
 

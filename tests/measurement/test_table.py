@@ -349,6 +349,12 @@ def test_names_may_have_brackets(tmp_path: Path) -> None:
     file.write_text("finger[0] [deg],[a-c]? [mm],b[1]x[2][m]\n180,2,3\n", encoding="utf-8")
     table = read_table(file)
     assert list(table.columns) == ["finger[0]", "[a-c]?", "b[1]x[2]"]
+    # Words have no unit, and all brackets are of the name.
+    file.write_text("direction_finger[0],direction_finger[1],tau_finger[0] [Nm]\n+,-,3\n", encoding="utf-8")
+    assert list(read_table(file).columns) == ["direction_finger[0]", "direction_finger[1]", "tau_finger[0]"]
+    file.write_text("direction_finger[0] [deg]\n+\n", encoding="utf-8")
+    with pytest.raises(MeasurementError, match=r"column 'direction_finger\[0\]' holds words and takes no unit"):
+        read_table(file)
     start = time.process_time()
     with pytest.raises(MeasurementError):
         _split("[a]" * 200_000 + "[")
