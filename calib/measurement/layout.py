@@ -186,6 +186,15 @@ def with_units(titles: Sequence[str], units: Sequence[str]) -> list[str]:
     ]
 
 
+def is_number_of_name(name: str, inside: str) -> bool:
+    """Return whether what stands behind a name, in brackets or after a stroke, is its number, and no unit.
+
+    >>> is_number_of_name("position", "1"), is_number_of_name("qw ", "1"), is_number_of_name("x", "mm")
+    (True, False, False)
+    """
+    return inside.strip().isdigit() and name.rstrip() == name
+
+
 def name_and_unit(title: str) -> tuple[str, str | None]:
     """Return the name of a title without brackets, and the symbol of the unit that stands behind it, None for none.
 
@@ -194,7 +203,9 @@ def name_and_unit(title: str) -> tuple[str, str | None]:
     """
     for pattern in _BEHIND:
         match = pattern.fullmatch(title)
-        if match is not None and (symbol := symbol_of(match[2].strip())) is not None and (name := match[1].rstrip()):
+        if match is None or is_number_of_name(match[1], match[2]):
+            continue
+        if (symbol := symbol_of(match[2].strip())) is not None and (name := match[1].rstrip()):
             return name, symbol
     match = _SUFFIX.fullmatch(title)
     if match is not None and match[2].lower() in _SUFFIXES and (name := match[1].rstrip(_APART)):

@@ -9,7 +9,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, symbol_of
 from calib.measurement.cells import cells, in_bytes, lines, refuse_ragged
-from calib.measurement.layout import is_number, layout, name_and_unit
+from calib.measurement.layout import is_number, is_number_of_name, layout, name_and_unit
 
 # Enough to tell a unit from another; a table may have a million rows.
 _MOST_ROWS = 400
@@ -93,6 +93,6 @@ def split_title(title: str) -> tuple[str, str | None]:
     """Return the name of a title and the symbol of the unit that it has, None where it has none that is known."""
     if title.endswith("]") and "[" in title:
         name, _, inside = title[:-1].rpartition("[")
-        if name.strip():
+        if name.strip() and not is_number_of_name(name, inside):
             return name.strip(), symbol_of(inside)
     return name_and_unit(title)

@@ -26,7 +26,7 @@ from calib.foundations.ranges import OF_DIMENSION, SMALLEST_CELL
 from calib.foundations.units import NUMBER, UNITS, Unit, symbol_of
 from calib.foundations.words import near, shortened, shown
 from calib.measurement.cells import Line, cells, in_bytes, lines, refuse_ragged
-from calib.measurement.layout import layout, name_and_unit
+from calib.measurement.layout import is_number_of_name, layout, name_and_unit
 from calib.measurement.orientations import ANGLES, MATRIX, quaternions_of
 
 TEXT_COLUMNS = ("tool", "setup", "target", "group", "pair", "direction")
@@ -435,10 +435,13 @@ def _split(title: str) -> tuple[str, str | None]:
         raise HeaderError("a column has no name (is there a comma too many?)")
     if len(title) > _LONGEST_WORD:
         raise HeaderError(f"the header {shown(title)} is longer than {_LONGEST_WORD} characters")
+    if unit is not None and name not in UNITLESS:
+        # The name of a joint may end in brackets: with its number, or with anything where no unit may be.
+        own_word = name.startswith(APPROACH) and symbol_of(unit) is None
+        if own_word or is_number_of_name(match[1], unit):
+            name, unit = title.strip(), None
     if unit is None and not holds_words(name):
         return name_and_unit(name)
-    if name.startswith(APPROACH) and unit is not None and symbol_of(unit) in (None, "1"):
-        return title.strip(), None  # of a joint whose own name ends in brackets
     return name, unit and (symbol_of(unit) or unit)
 
 

@@ -349,6 +349,14 @@ def test_names_may_have_brackets(tmp_path: Path) -> None:
     file.write_text("finger[0] [deg],[a-c]? [mm],b[1]x[2][m]\n180,2,3\n", encoding="utf-8")
     table = read_table(file)
     assert list(table.columns) == ["finger[0]", "[a-c]?", "b[1]x[2]"]
+    # A number behind a name is its own, and no unit; what has none anyway may say so.
+    file.write_text("j[1] [deg],j[2] [deg],qw[1],qx [1]\n180,2,3,4\n", encoding="utf-8")
+    assert list(read_table(file).columns) == ["j[1]", "j[2]", "qw", "qx"]
+    file.write_text("j[1],j[2],x [mm]\n180,2,3\n", encoding="utf-8")
+    with pytest.raises(MeasurementError, match=r"columns 'j\[1\]', 'j\[2\]' have no unit"):
+        read_table(file)
+    renamed = {"a [deg]": "j[1]", "b [deg]": "j[2]"}
+    assert list(read_table(file, renamed).columns) == ["a", "b", "x"]
     # Words have no unit, and all brackets are of the name.
     file.write_text("direction_finger[0],direction_finger[1],tau_finger[0] [Nm]\n+,-,3\n", encoding="utf-8")
     assert list(read_table(file).columns) == ["direction_finger[0]", "direction_finger[1]", "tau_finger[0]"]

@@ -53,6 +53,20 @@ def test_titles_of_any_characters_are_written_whole(folder: Path) -> None:
     assert job["measurements"][0]["columns"]["x [mm]"] == title
 
 
+@pytest.mark.parametrize("numbered", ["position[{}]", "q({})", "axis/{}"])
+@pytest.mark.parametrize("first", [0, 1])
+def test_numbers_in_brackets_are_of_the_name_and_no_unit(folder: Path, numbered: str, first: int) -> None:
+    """As of an array in a message: of ``position[1]`` the 1 was taken for the unit of plain numbers."""
+    put(folder, "no units")
+    header, rows = (folder / "measured.csv").read_text(encoding="utf-8").split("\n", 1)
+    titles = [numbered.format(first + k) for k in range(6)]
+    (folder / "measured.csv").write_text(",".join([*titles, *header.split(",")[6:]]) + "\n" + rows, encoding="utf-8")
+    assert run("init", UR10, "measured.csv", "-q").code == 0
+    job = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))
+    assert list(job["measurements"][0]["columns"].values())[:6] == titles
+    assert run("check", "calibration.toml").code == 0
+
+
 @pytest.mark.parametrize(
     ("urdf", "table", "job"),
     [
