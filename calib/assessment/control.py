@@ -6,20 +6,27 @@ have redundancy numbers of zero (W. Baarda, *A testing procedure for use in geod
 """
 
 from collections import Counter
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from calib.assessment.influence import Residue
+from calib.foundations.units import MM
 from calib.foundations.words import listed, noun
 from calib.identification.fit import Fit
 from calib.identification.machine import Layout
 from calib.identification.rows import frame_numbers
 from calib.identification.targets import shapes
+from calib.machine.calibrated import CalibratedMachine
+from calib.machine.of_fit import assembled
+from calib.machine.tool_uncertainty import by_pair, tool_uncertainty
 from calib.measurement.measurements import numbered
 
 # Of more numbers some always check the others: a base and a tool have twelve unknowns at most.
 _MOST_NUMBERS = 24
+# With that probability a tool is where it is stated.
+_SURELY = 0.9999
 # Rows that check each other have a redundancy of one number or more.
 _LEAST = 0.5
 
@@ -45,6 +52,29 @@ def doubt(residue: Residue) -> str:
             "from nearer, or from another side."
         )
     return ""
+
+
+def placed_elsewhere(fit: Fit, machine: CalibratedMachine) -> str:
+    """Say which tools are elsewhere by a machine that explains the rows as well; empty where it is as it is stated."""
+    if fit.alike is None:
+        return ""
+    other, far = assembled(replace(fit, machine=fit.alike)), dict[str, float]()
+    for data in fit.measurements:
+        for setup, tool, rows in by_pair(data):
+            readings, conditions = data.readings[rows], data.conditions.subset(rows)
+            here, there = (
+                one.at(setup).predict(readings, tool=tool, conditions=conditions)[:, :3, 3] for one in (machine, other)
+            )
+            told = tool_uncertainty(machine.at(setup), readings, tool, conditions=conditions)
+            if not np.median(told.inside(there - here, _SURELY)):
+                far[tool] = max(far.get(tool, 0.0), float(np.sqrt(np.mean(np.sum((there - here) ** 2, axis=1)))))
+    if not far:
+        return ""
+    return (
+        f"Lengths are the same with the {noun(len(far), 'tool')} {listed(tuple(far))} on the other side of their ends' "
+        f"plane, {max(far.values()) / MM:.3g} mm away, and with other tilts of the axes: nothing tells which is "
+        "right. Measure lengths from well outside that plane, or state the tool, or about where the base is."
+    )
 
 
 def names_of_mirrored(fit: Fit, what: Literal["base", "tool", "point", "frame"]) -> tuple[str, ...]:

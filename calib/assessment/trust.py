@@ -13,7 +13,7 @@ import numpy as np
 from calib.assessment.causes import LEAST_LEFT, Cause, causes
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.checks.shown_range import shown_range
-from calib.assessment.control import doubt, names_of_mirrored, unchecked
+from calib.assessment.control import doubt, names_of_mirrored, placed_elsewhere, unchecked
 from calib.assessment.effects import (
     apart,
     delay,
@@ -109,7 +109,7 @@ def verdict(
             of_fit.stated_sigma(fit),
             of_errors.independent_rows(own, held_out),
             of_errors.copies(own, held_out),
-            of_fit.redundancy(fit, doubt(residue)),
+            of_fit.redundancy(fit, doubt(residue) or placed_elsewhere(fit, machine)),
             *by_row,
             of_rows.groups(found, apart(poses, C), elsewhere(poses, C), fit),
             of_rows.set_ups(moved),
@@ -244,13 +244,23 @@ def _surely(fit: Fit, kind: str, sign: float) -> list[str]:
 
 
 def _mirrored(fit: Fit) -> list[Finding]:
-    """Return which targets two places explain alike. The arm hangs on neither of them."""
+    """Return which targets, and tilts of an arm that moves in a plane, two places explain alike."""
     found = []
+    tilts = [p.name for p, twice in zip(fit.parameters, fit.mirrored, strict=True) if twice and p.of_robot]
     if twice := names_of_mirrored(fit, "point"):
+        arm = (
+            ""
+            if tilts
+            else " The arm does not depend on them. One more length from well outside that plane tells which it is."
+        )
         found.append(
             f"Lengths put the {noun(len(twice), 'target')} {listed(twice)} at two places alike, one on either side of "
-            "the plane that the tool was in: no coordinates are told. The arm does not depend on them. One more length "
-            "from well outside that plane tells which it is."
+            f"the plane that the tool was in: no coordinates are told.{arm}"
+        )
+    if tilts:
+        found.append(
+            f"Lengths are the same on both sides of the plane that the tool was in, with other signs of "
+            f"{listed(tilts)}: these are not told. Lengths from well outside that plane tell which they are."
         )
     if turned := names_of_mirrored(fit, "frame"):
         found.append(

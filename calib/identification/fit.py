@@ -47,7 +47,8 @@ class Fit:
     "minimal" kept at their nominal values. ``null_basis`` (p, k): a basis of the null space of these other parameters,
     orthonormal in their scales, with the targets that follow, priors counted as data. ``along_null_space``: how far the
     truth may be from the values along it.
-    ``mirrored`` (p,): which of the unidentifiable ones are of frames that two places explain alike.
+    ``mirrored`` (p,): which of the unidentifiable ones two places explain alike, as of frames that lengths tell;
+    ``alike``: the machine on the other side of these lengths' plane, where it explains them as well.
     ``machine``: the calibrated machine; ``nominal``: the nominal robot with base and tool fitted, the fair "before".
     ``residuals`` and ``nominal_residuals``: measured minus predicted (N, 3 or 6) of every set, in m and rad.
     ``noise``: of one row; where rows of a pose err together, poses are counted. ``noise_by_rows``: by which rows were
@@ -96,6 +97,7 @@ class Fit:
     together: tuple[Together | None, ...] = ()
     off: Array | None = None
     earlier: Earlier | None = None
+    alike: Machine | None = None
 
     @property
     def singular_values(self) -> Array:

@@ -25,9 +25,9 @@ from calib.identification.initialisation.problem import initial_problem, with_co
 from calib.identification.initialisation.tools_elsewhere import tools_elsewhere
 from calib.identification.learned import LearnedPrior, solve_learning
 from calib.identification.losses import Loss, refuse_losses
-from calib.identification.machine import Frames, Machine, values_at
+from calib.identification.machine import Frames, Machine, machine, values_at
 from calib.identification.memory import with_memory
-from calib.identification.mirrored import mirrored
+from calib.identification.mirrored import LIKELY, behind, mirrored
 from calib.identification.noise import Noise, noise_of
 from calib.identification.not_seen import AlongNullSpace
 from calib.identification.parameters import Parameter, scales
@@ -44,6 +44,8 @@ from calib.robot.robot import Deviations
 _MOST_TURNS = 3
 # By this share of the sum of squares a search with tools elsewhere must end better, and by more than rounding.
 _CLEARLY, _SOME = 0.05, 1.0
+# Two places tell a parameter as two values where these are that many standard deviations apart.
+_TWO = 4.0
 # Frames of the nominal robot where an earlier fit has them, or as they begin.
 Placed = Literal["fitted", "begun"]
 # Rows that err together are weighed anew so often, until their common variance stays within that, as a logarithm.
@@ -182,12 +184,9 @@ def _identify(
     problem = replace(whole, parameters=parameters, reference=reference, held=deviations)
     before_fit = problem.residuals_of(nominal)
     x0 = values_at(model.robot, parameters, reference, deviations)
-    problem, found, learned = solve_learning(problem, x0, variances, None if near is None else _near(near, problem, x0))
-    found = _with_anchors(problem, found, variances)
-    if near is None and together is None:
-        problem, found, learned = _with_tools(problem, found, learned, x0, variances)
-    if found.freed:
-        problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
+    known = None if near is None else _near(near, problem, x0)
+    once = near is not None or together is not None
+    problem, found, learned, alike = _searched(problem, x0, variances, known, once=once)
     plain = problem
     if together is None:
         problem, found, learned = _erring_together(problem, found, learned, variances)
@@ -204,6 +203,7 @@ def _identify(
     if null_space == "minimal" and directions:
         problem, found, kept, directions = _minimal(problem, found, (kept, directions), variances)
         held = tuple(parameter for k, parameter in enumerate(parameters) if k not in kept)
+        alike = None if alike is None else alike[list(kept)]
     machine = problem.machine(found.x)
     _refuse_nowhere(sets, machine)
     after = problem.residuals_of(machine)
@@ -245,6 +245,7 @@ def _identify(
         repeats=repeats,
         together=problem.together,
     )
+    fit = fit if alike is None else _told_once(fit, alike)
     # Of fits alike, which only compare, nobody asks how sure they are.
     return fit if begin is None or together is not None else _holding(fit, begin, whole.parameters)
 
@@ -377,6 +378,57 @@ def _with_tools(
     return problem, found._replace(evaluations=count), learned
 
 
+def _searched(
+    problem: Problem, x0: Array, variances: Sequence[float | None] | None, known: Near | None, *, once: bool
+) -> tuple[Problem, Solution, tuple[LearnedPrior, ...], Array | None]:
+    """Return problem and solution, and other values (p,) that explain the rows as well; ``once``: none are sought."""
+    alike = None
+    problem, found, learned = solve_learning(problem, x0, variances, known)
+    found = _with_anchors(problem, found, variances)
+    if not once:
+        problem, found, learned = _with_tools(problem, found, learned, x0, variances)
+        problem, found, learned, alike = _behind(problem, found, learned, variances)
+    if found.freed:
+        problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
+    return problem, found, learned, alike
+
+
+def _behind(
+    problem: Problem,
+    found: Solution,
+    learned: tuple[LearnedPrior, ...],
+    variances: Sequence[float | None] | None,
+) -> tuple[Problem, Solution, tuple[LearnedPrior, ...], Array | None]:
+    """Return problem and solution, or those of a search from behind the planes of lengths, if they fit clearly better.
+
+    And the values (p,) to which that search has led, where they explain the rows as well.
+    """
+    sigmas = _sigmas(problem, found)
+    start = behind(problem, found.x, sigmas)
+    if start is None:
+        return problem, found, learned, None
+    end = seek(problem, start, variances)
+    found = found._replace(evaluations=found.evaluations + end.search.evaluator.count)
+    before, after = (_squares(problem, x, sigmas) + _of_stated_places(problem, x) for x in (found.x, end.x))
+    if _clearly_less(after, before - LIKELY):
+        problem, again, learned = solve_learning(problem, end.x, variances)
+        return problem, again._replace(evaluations=found.evaluations + again.evaluations), learned, None
+    return problem, found, learned, end.x if end.converged and after < before + LIKELY else None
+
+
+def _told_once(fit: Fit, alike: Array) -> Fit:
+    """Return the fit beside a machine that explains the rows as well, at values (p,), without what differs there."""
+    with np.errstate(invalid="ignore"):
+        twice = np.abs(alike - fit.values) > _TWO * fit.sigmas
+    frames = fit.machine.frames
+    return replace(
+        fit,
+        alike=machine(fit.robot, fit.parameters, frames, alike, fit.machine.deviations),
+        unidentifiable=read_only_view(fit.unidentifiable | twice),
+        mirrored=read_only_view(fit.mirrored | twice),
+    )
+
+
 def _minimal(
     problem: Problem,
     found: Solution,
@@ -434,6 +486,12 @@ def _squares(problem: Problem, x: Array, sigmas: Sequence[Array]) -> float:
     return sum(float(np.sum((r / s) ** 2)) for r, s in zip(residual, sigmas, strict=True)) + float(
         np.sum(np.square(priors))
     )
+
+
+def _of_stated_places(problem: Problem, x: Array) -> float:
+    """Return the sum of squares at x (p,) of the priors that are stated for frames."""
+    own = [(p, value) for p, value in zip(problem.parameters, x, strict=True) if not p.of_robot and p.prior is not None]
+    return float(sum(((value - (p.centre or 0.0)) * p.hold / p.scale) ** 2 for p, value in own))
 
 
 def _sigmas(problem: Problem, found: Solution) -> tuple[Array, ...]:

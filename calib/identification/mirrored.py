@@ -4,6 +4,9 @@ Lengths from points in a plane are the same on both of its sides, and three poin
 that is known, three lengths put an anchor at either of two places, and a fit ends at one of them without a remainder.
 Neither the rank nor a standard deviation says so, as both look at the surroundings of one place. A board that is small
 in its photograph is alike: :mod:`calib.identification.mirrored_boards`.
+
+Of an arm that moves in a plane all lengths are the same on both sides, to anchors that are known as well: tilts of its
+axes have the other signs there. So the machine must follow, and a whole search begins behind the plane.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +18,7 @@ from calib.foundations import rigid
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.linear import svd, triangle
 from calib.identification.machine import Layout, Machine
-from calib.identification.mirrored_boards import Photographed, frames_in, photographed
+from calib.identification.mirrored_boards import Photographed, frames_in, mirror, photographed
 from calib.identification.parameters import ParameterKind, scales
 from calib.identification.relations import related_targets
 from calib.identification.system import Problem
@@ -25,8 +28,12 @@ from calib.measurement.measurements import numbered
 _LENGTHS: tuple[Kind, ...] = ("distance", "sphere")
 # Both places are possible where the sums of squares differ by less than four standard deviations, squared; and they are
 # two where what is told of one does not reach the other.
-_LIKELY, _APART = 16.0, 16.0
+LIKELY, _APART = 16.0, 16.0
 _STEPS, _NO_STEP = 20, 1e-9
+# Ends are nearly in a plane where they are off it by that share of how they spread along it.
+_FLAT = 0.1
+# A tool is that far from its link, in m, or as far as the robot reaches, at most.
+FAR_TOOL = 1.0
 # Whitened residuals (n,) of a place, and their derivatives by it (n, k).
 _Look = Callable[[Array], tuple[Array, Array]]
 
@@ -34,9 +41,10 @@ _Look = Callable[[Array], tuple[Array, Array]]
 class _Lengths(NamedTuple):
     """Rows of lengths between a tool point and a target: where tool and target are (n, 4, 4), residual, sigma (n,).
 
-    ``tool`` and ``target`` (n,): numbers of these.
+    ``setup``, ``tool`` and ``target`` (n,): numbers of these.
     """
 
+    setup: IntArray
     tool: IntArray
     target: IntArray
     tools: Array
@@ -69,6 +77,64 @@ def mirrored(problem: Problem, at: Machine, sigmas: Sequence[Array]) -> BoolArra
     return found
 
 
+def behind(problem: Problem, x: Array, sigmas: Sequence[Array]) -> Array | None:
+    """Return values (p,) with what lengths alone tell on the other side of the planes of their ends, else as x (p,).
+
+    These are targets; where all of them are known, bases of arms that move in a plane; where these are known as well,
+    tools. None where there are no such planes, or where a tool would be too far from its link to be one.
+    """
+    at, layout = problem.machine(x), Layout.of(problem.model.robot, problem.reference)
+    rows = _rows(problem, at, sigmas)
+    if rows is None:
+        return None
+    kinds: tuple[ParameterKind, ...] = ("target", "base", "tool")
+    for kind in kinds:
+        free = [(k, *layout.frame_of(p)) for k, p in enumerate(problem.parameters) if p.kind == kind]
+        asked = {number for _, number, _ in free} - _told_otherwise(problem, kind)
+        asked -= _related(problem) if kind == "target" else set()
+        there = {number: frame for number, frame in _reflected(rows, kind, at).items() if number in asked}
+        if kind == "tool":
+            far = max(FAR_TOOL, problem.model.robot.reach)
+            there = {number: frame for number, frame in there.items() if np.linalg.norm(frame[:3, 3]) <= far}
+        found = x.copy()
+        for k, number, component in free:
+            if number not in there:
+                continue
+            if component < 3:
+                found[k] = there[number][component, 3]
+            elif kind == "base":
+                turned = there[number][:3, :3].T @ problem.reference.bases[number, :3, :3]
+                found[k] = -rigid.rpy_of(turned)[component - 3]
+        if there:
+            return found
+    return None
+
+
+def _reflected(rows: _Lengths, kind: ParameterKind, at: Machine) -> dict[int, Array]:
+    """Return where bases, tools or targets (4, 4) are behind the planes of their lengths' ends, by number."""
+    found = {}
+    for number, own in numbered({"base": rows.setup, "tool": rows.tool, "target": rows.target}[kind]):
+        if kind == "base":
+            base = at.frames.bases[number]
+            across, along = _plane(rows.targets[own, :3, 3]), _plane((rigid.inverse(base) @ rows.tools[own])[:, :3, 3])
+            if across is not None and along is not None:
+                found[number] = across @ base @ along
+        elif (across := _plane(rows.ends(kind)[own])) is not None:
+            frame = rows.targets[own[0]] if kind == "target" else np.eye(4)
+            place = rigid.translation((across @ frame)[:3, 3])
+            found[number] = place if kind == "target" else at.frames.tools[number] @ place
+    return found
+
+
+def _plane(ends: Array) -> Array | None:
+    """Return the mirror (4, 4) at the plane that points (n, 3) are in; None where they are in none."""
+    middle = ends.mean(axis=0)
+    if len(ends) < 3:
+        return None
+    _, sizes, Vt = svd(triangle(ends - middle))
+    return mirror(Vt[-1], middle) if sizes[-1] <= _FLAT * sizes[-2] else None
+
+
 def _by_lengths(rows: _Lengths, kind: ParameterKind, asked: set[int]) -> set[int]:
     """Return which of the tools, or targets, ``asked`` for are at two places."""
     ends, twice = rows.ends(kind), set()
@@ -89,7 +155,15 @@ def _rows(problem: Problem, at: Machine, sigmas: Sequence[Array]) -> _Lengths | 
             target = data.target[block.rows]
             tools, r = block.moved[0].placed, block.observed.residual[:, 0]
             found.append(
-                _Lengths(data.tool[block.rows], target, tools, at.frames.targets[target], r, sigma[block.rows, 0])
+                _Lengths(
+                    data.setup[block.rows],
+                    data.tool[block.rows],
+                    target,
+                    tools,
+                    at.frames.targets[target],
+                    r,
+                    sigma[block.rows, 0],
+                )
             )
     return _Lengths(*(np.concatenate(parts) for parts in zip(*found, strict=True))) if found else None
 
@@ -154,7 +228,7 @@ def _explains_as_well(look: _Look, here: Array, there: Array, apart: Array) -> b
     """Return whether what is seen allows a place there, ``apart`` from here by more than is told of here."""
     (r, J), (other, _) = look(here), look(there)
     told = J @ apart
-    return bool(other @ other < r @ r + _LIKELY and told @ told > _APART)
+    return bool(other @ other < r @ r + LIKELY and told @ told > _APART)
 
 
 def _twisted(pose: Array, twist: Array) -> Array:

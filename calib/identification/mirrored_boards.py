@@ -71,7 +71,7 @@ class Photographed:
         middle = marks.mean(axis=0)
         sight = middle - camera[:3, 3]
         along = sight / max(float(np.linalg.norm(sight)), 1e-9)
-        turn = _mirror(along, middle) @ _mirror(svd(triangle(marks - middle))[2][-1], middle)
+        turn = mirror(along, middle) @ mirror(svd(triangle(marks - middle))[2][-1], middle)
         turn = turn if rows.on_tip == (self._kind == "target") else rigid.inverse(turn)
         if self._kind == "tool":
             return np.asarray(self.here @ rigid.inverse(tools[0]) @ turn @ tools[0])
@@ -170,6 +170,6 @@ def frames_in(data: Measurements, kind: ParameterKind) -> set[int]:
     return {int(k) for numbers in own for k in np.unique(numbers)}
 
 
-def _mirror(normal: Array, point: Array) -> Array:
+def mirror(normal: Array, point: Array) -> Array:
     """Return the mirror (4, 4) at a plane by its unit normal (3,) and a point of it."""
     return rigid.placement(np.eye(3) - 2.0 * np.outer(normal, normal), 2.0 * (normal @ point) * normal)

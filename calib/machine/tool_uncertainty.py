@@ -101,7 +101,7 @@ def common_errors(machine: CalibratedMachine, data: Measurements) -> Array:
     """
     size, known = data.sigma.shape[1], machine.known_uncertainty
     found = np.zeros((len(data), size, known.factor.shape[1]))
-    for setup, tool, rows in _by_pair(data):
+    for setup, tool, rows in by_pair(data):
         own = data.conditions.subset(rows)
         found[rows] = tool_errors(machine.at(setup), data.readings[rows], tool, conditions=own)[:, :size]
     return found
@@ -113,7 +113,7 @@ def row_noise(machine: CalibratedMachine, data: Measurements) -> Array:
     As rows of their set-up and tool scatter; nan where nothing of the kind was measured.
     """
     known, found = machine.known_uncertainty, np.full(data.sigma.shape, np.nan)
-    for setup, tool, rows in _by_pair(data):
+    for setup, tool, rows in by_pair(data):
         for q, level in enumerate(known.noise(setup, tool)):
             columns = slice(3 * q, 3 * q + 3)
             if level is not None:
@@ -124,12 +124,12 @@ def row_noise(machine: CalibratedMachine, data: Measurements) -> Array:
 def row_freedom(machine: CalibratedMachine, data: Measurements) -> Array:
     """Return the degrees of freedom (N,) of the uncertainty of rows of ``data``, in their set-ups with their tools."""
     found = np.full(len(data), np.inf)
-    for setup, tool, rows in _by_pair(data):
+    for setup, tool, rows in by_pair(data):
         found[rows] = machine.known_uncertainty.freedom(setup, tool)
     return found
 
 
-def _by_pair(data: Measurements) -> Iterator[tuple[str, str, IntArray]]:
+def by_pair(data: Measurements) -> Iterator[tuple[str, str, IntArray]]:
     """Yield every set-up and tool of rows, and the rows (n,) that have both."""
     pairs, number = np.unique(np.column_stack([data.setup, data.tool]), axis=0, return_inverse=True)
     for k, (setup, tool) in enumerate(pairs.tolist()):

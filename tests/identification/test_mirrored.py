@@ -15,6 +15,7 @@ from calib.identification.parameters import ParameterKind
 from calib.identification.set_ups import SetUp
 from calib.identification.system import Problem
 from calib.identification.targets import Target
+from calib.robot.urdf import parse_urdf
 from tests.support import cameras, jacobians, machines
 from tests.support.machines import Array
 
@@ -234,3 +235,73 @@ def test_derivatives_of_what_photographs_show_of_a_frame(kind: ParameterKind, ca
                 return frame.look(pose @ machines.pose(twist[:3], twist[3:]))[0]
 
             jacobians.compare(frame.look(pose)[1], off, np.zeros(6), ["x", "y", "z", "rx", "ry", "rz"], 1e-6, 1e-5)
+
+
+def planar(
+    heights: tuple[float, float, float], *, base: str = "pose", known: bool = True, size: float = 5e-4
+) -> tuple[Fit, Array]:
+    """Lengths from the tool of an arm that moves in a plane to anchors; and how far the base is off, in m."""
+    joints = "".join(
+        f'<link name="l{k}"/><joint name="{name}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/>'
+        f'<origin xyz="{x} 0 {z}"/><axis xyz="0 0 1"/><limit lower="-2.5" upper="2.5" effort="1" velocity="1"/></joint>'
+        for k, (name, x, z) in enumerate((("a", 0.0, 0.1), ("b", 0.4, 0.0), ("c", 0.3, 0.0)))
+    )
+    robot = calib.load_robot(parse_urdf(f'<robot name="r">{joints}<link name="l3"/></robot>'.encode(), "r.urdf"), "l3")
+    rng = np.random.default_rng(1)
+    # The offset of a joint is no deviation of its placement.
+    moved = rng.normal(0.0, size, (3, 6)) * (1.0, 1.0, 1.0, 1.0, 1.0, 0.0)
+    true = calib.CalibratedMachine(
+        robot, calib.Deviations(moved, rng.normal(0.0, 1e-3, 3), np.zeros(0)), np.eye(4), {"tool": TOOL}
+    )
+    readings = rng.uniform(-2.0, 2.0, (60, 3))
+    target = np.arange(60) % 3
+    places = np.array([(0.9, 0.2, 0.0), (-0.3, 0.8, 0.0), (0.4, -0.7, 0.0)])
+    places[:, 2] = heights
+    points = true.predict(readings)[:, :3, 3]
+    columns: dict[str, object] = {f"{r.name} [rad]": readings[:, k] for k, r in enumerate(robot.readings)}
+    columns["length [m]"] = np.linalg.norm(points - places[target], axis=1) + rng.normal(scale=SIGMA, size=60)
+    columns["target"] = [f"A{t}" for t in target]
+    data = calib.read_measurements(columns, robot, "distance", sigma=SIGMA)
+    told = calib.Known(targets={f"A{t}": Target(machines.pose(places[t])) for t in range(3)} if known else {})
+    if base == "prior":
+        told = replace(told, setups={"base": SetUp(np.eye(4), length=5e-3, angle=1e-2)})
+    model = calib.error_model(
+        robot, offsets="all", placements="all", base="fixed" if base == "fixed" else "pose", known=told
+    )
+    fit = calib.identify(model, data)
+    return fit, np.linalg.norm(fit.machine.frames.bases[0, :3, 3])
+
+
+@pytest.mark.parametrize(
+    ("heights", "base", "trusted"),
+    [
+        ((0.0, 0.0, 0.0), "fixed", False),
+        ((0.0, 0.3, 0.1), "fixed", True),
+        ((0.0, 0.3, 0.1), "pose", False),
+        ((0.0, 0.3, 0.1), "prior", True),
+    ],
+)
+def test_lengths_of_a_planar_arm_are_the_same_on_both_sides(
+    heights: tuple[float, float, float], base: str, *, trusted: bool
+) -> None:
+    """Its tilts have other signs there: with them held, no second place explained the lengths, and one was trusted.
+
+    It was 100 mm off, or 280 mm, and told to 10 mm, or to less than 0.1 mm.
+    """
+    fit, off = planar(heights, base=base)
+    assert (fit.alike is None) == trusted
+    redundancy = next(check for check in calib.assess(fit).checks if check.name == "redundancy")
+    assert redundancy.passed == trusted
+    assert ("on the other side" in redundancy.sentence) != trusted
+    if base == "prior":
+        assert off < 0.02
+
+
+def test_an_anchor_of_a_planar_arm_leaves_signs_of_tilts_open() -> None:
+    """They were told with a sigma, and were off by ten of it."""
+    fit, _ = planar((0.1, 0.1, 0.1), base="fixed", known=False, size=1e-3)
+    twice = {p.name for p, alike in zip(fit.parameters, fit.mirrored, strict=True) if alike}
+    assert twice & {"b.rx", "b.ry", "c.rx", "c.ry"}
+    assert np.isnan(fit.sigmas[fit.mirrored]).all()
+    said = [finding.sentence for finding in calib.assess(fit).findings if finding.code == "mirrored"]
+    assert len(said) == 1 and "with other signs of" in said[0]

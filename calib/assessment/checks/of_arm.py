@@ -14,6 +14,7 @@ from calib.foundations.units import MM
 from calib.identification.fit import Fit
 from calib.identification.identifiability import MOVED, NUMERICAL_TOLERANCE
 from calib.identification.machine import values_at
+from calib.identification.mirrored import FAR_TOOL
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem, related
 from calib.measurement.checks import Finding
@@ -31,7 +32,7 @@ SCALED = 2e-3
 # Scales of a parameter that may take up a common share, beside what rows say.
 PLAUSIBLE = 10.0
 # In m: a tool point from its link, the base from the instrument.
-FAR_TOOL, FAR_BASE = 1.0, 100.0
+FAR_BASE = 100.0
 # Warnings about the input that count.
 COUNTED = (
     "unexplained",
