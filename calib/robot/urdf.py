@@ -11,6 +11,7 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal, NamedTuple, cast, get_args
 
 import numpy as np
@@ -37,6 +38,13 @@ MOST_JOINTS = 200
 # Of the whole document, and as many joints: a cell with all its fixed frames has some hundreds.
 MOST_LINKS = 2000
 _LONGEST_NAME = 200
+# What makes the kinematics of a joint, and with which attributes.
+_OF_JOINT = ("parent", "child", "origin", "axis", "limit", "mimic")
+_ATTRIBUTES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"origin": ("xyz", "rpy"), "axis": ("xyz",), "mimic": ("joint", "multiplier", "offset")}
+)
+# So alike is a name that was meant to be another.
+_MISSPELT = 0.8
 # Of xacro before it had a prefix: links and joints that are elsewhere, or there under a condition.
 _BARE_XACRO = ("include", "macro", "if", "unless")
 # Beyond any robot in metres or radians: a wrong unit or a slipped exponent.
@@ -170,6 +178,8 @@ def parse_urdf(source: bytes, where: str) -> Urdf:
         )
     if bare := next((child for child in robot.children if child.tag in _BARE_XACRO), None):
         raise RobotError(f"{where}:{bare.line}: <{bare.tag}> {NOT_EXPANDED}")
+    for child in robot.children:
+        _refuse_capitals(child, ("link", "joint"), where)
     for tag in ("link", "joint"):
         if (many := len(robot.all(tag))) > MOST_LINKS:
             raise RobotError(f"{where}: has {many} {tag}s; allowed are {MOST_LINKS}.")
@@ -245,7 +255,8 @@ def _parts(name: str, joint: Element, where: str) -> dict[str, tuple[Element, st
     """Return the children of a joint that make its kinematics by tag, each with its place for messages."""
     parts: dict[str, tuple[Element, str]] = {}
     for child in joint.children:
-        if child.tag in ("parent", "child", "origin", "axis", "limit", "mimic"):
+        _refuse_capitals(child, _OF_JOINT, where)
+        if child.tag in _OF_JOINT:
             at = f"{where}:{child.line}: joint {shown(name)}"
             if child.tag in parts:
                 raise RobotError(f"{at} has a second <{child.tag}>; the first is in line {parts[child.tag][0].line}.")
@@ -253,8 +264,27 @@ def _parts(name: str, joint: Element, where: str) -> dict[str, tuple[Element, st
     return parts
 
 
+def _refuse_capitals(element: Element, known: Collection[str], where: str) -> None:
+    """Raise RobotError for a tag in other letters than URDF has it: it would be passed over as an unknown one."""
+    if element.tag not in known and element.tag.lower() in known:
+        raise RobotError(
+            f"{where}:{element.line}: <{element.tag}> is written <{element.tag.lower()}>; else it is not read."
+        )
+
+
+def _refuse_unread(element: Element, at: str) -> None:
+    """Raise RobotError for attributes that would make another arm: misspelt ones, and ``quat_xyzw`` of a newer URDF."""
+    known = _ATTRIBUTES[element.tag]
+    for name in element.attributes:
+        if name not in known and (name.startswith("quat") or near(name.lower(), known, 1, _MISSPELT)):
+            raise RobotError(
+                f"{at}: <{element.tag}> has {shown(name)}, which is not read; read are {', '.join(known)}."
+            )
+
+
 def origin_of(element: Element, at: str) -> Array:
     """Return the placement (4, 4) that an ``<origin>`` states; ``at`` begins a message. Raises RobotError."""
+    _refuse_unread(element, at)
     xyz, rpy = (
         np.array(numbers_of(element, name, at, count=3)) if name in element.attributes else np.zeros(3)
         for name in ("xyz", "rpy")
@@ -263,6 +293,7 @@ def origin_of(element: Element, at: str) -> Array:
 
 
 def _axis(element: Element, at: str) -> Array:
+    _refuse_unread(element, at)
     axis = numbers_of(element, "xyz", at, count=3)
     length = math.hypot(*axis)
     if length < _SHORTEST_AXIS:
@@ -279,6 +310,7 @@ def _limits(element: Element, at: str) -> tuple[float | None, float | None]:
 
 
 def _mimic(element: Element, at: str) -> Mimic:
+    _refuse_unread(element, at)
     driver = _required(element, "joint", f"{at}: <mimic>")
     multiplier = _number(element, "multiplier", at, 1.0)
     if multiplier == 0.0:

@@ -164,6 +164,24 @@ def test_xacro_of_another_prefix_or_of_none_is_not_passed_over(element: str) -> 
     assert read_xml(b'<robot xmlns:x="http://x/sensor"><x:include/></robot>').children[0].tag == "x:include"
 
 
+@pytest.mark.parametrize(
+    ("inside", "says"),
+    [
+        ('<origin quat_xyzw="0 0 1 0"/>', "<origin> has 'quat_xyzw', which is not read; read are xyz, rpy."),
+        ('<origin xyz="1 0 0" RPY="1 0 0"/>', "<origin> has 'RPY', which is not read; read are xyz, rpy."),
+        ('<axis xyz="1 0 0" Xyz="0 1 0"/>', "<axis> has 'Xyz', which is not read; read are xyz."),
+        ('<Origin xyz="1 0 0"/>', "arm.urdf:1: <Origin> is written <origin>; else it is not read."),
+        ('</joint><Link name="c"/><joint name="k" type="fixed">', "<Link> is written <link>; else it is not read."),
+        (
+            '<mimic joint="k" multipler="2"/>',
+            "<mimic> has 'multipler', which is not read; read are joint, multiplier, offset.",
+        ),
+    ],
+)
+def test_what_would_make_another_arm_is_not_passed_over(inside: str, says: str) -> None:
+    assert said(arm(inside)).endswith(says)
+
+
 def test_meshes_outside_their_roots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "socket", None)
     root, secret = tmp_path / "robot", tmp_path / "secret.stl"
