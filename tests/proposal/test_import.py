@@ -178,6 +178,21 @@ def test_a_workbook(folder: Path) -> None:
     assert understood(folder / "measured.csv")["x [mm]"] == "X"
 
 
+def test_rows_that_a_filter_hides_are_read_and_told(folder: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["X [mm]", "Y [mm]"], [1, 2], [3, 4], [5, 6]):
+        book.active.append(row)
+    book.save(folder / "book.xlsx")
+    assert read_sheet("book.xlsx").remarks == ()
+    for row in (2, 3):
+        book.active.row_dimensions[row].hidden = True
+    book.save(folder / "book.xlsx")
+    found = read_sheet("book.xlsx")
+    assert found.rows == (("1", "2"), ("3", "4"), ("5", "6"))
+    assert found.remarks == ("2 rows are hidden, and read as well",)
+
+
 @pytest.mark.parametrize(
     ("name", "contents", "sentence"),
     [

@@ -35,6 +35,7 @@ _APART = re.compile(rb"<!--.*?(?:-->|\Z)|<\?.*?(?:\?>|\Z)", re.DOTALL)
 _PLACE = re.compile(
     rb"""<(?:\w+:)?(?:row\s(?:[^<>]*?\s)?r=["'](\d{1,20})|c\s(?:[^<>]*?\s)?r=["']([A-Z]{1,3})\d{1,20})["']"""
 )
+_HIDDEN = re.compile(rb"""<(?:\w+:)?row\s(?:[^<>]*?\s)?hidden=["'](?:1|true)["']""")
 _MERGED = re.compile(rb"""<(?:\w+:)?mergeCell\s(?:[^<>]*?\s)?ref=["']([A-Z]{1,3})(\d{1,7}):[A-Z]{1,3}(\d{1,7})["']""")
 _FILLED = re.compile(rb"<(?:\w+:)?(?:f|is|v)[\s/>]")
 _FORMULA = re.compile(rb"<(?:\w+:)?f[\s/>]")
@@ -76,6 +77,8 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
             # Not by openpyxl, which works out a shared formula for every cell that has it, however long it is.
             with first._get_source() as part:
                 uncomputed = _uncomputed(part) if formulas else ""
+            with first._get_source() as part:
+                hidden = len(_HIDDEN.findall(part.read().replace(b"\0", b"")))
             book.close()
     except MeasurementError:
         raise
@@ -92,6 +95,8 @@ def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence
         raise MeasurementError(f"{where}: has no rows.")
     others = [sheet.title for sheet in seen if sheet is not first]
     remarks = [f"the sheet {shown(first.title)} is read, and not {listed(others)}"] if others else []
+    if hidden:  # a filter hides rows as well
+        remarks.append(counted(hidden, "row is hidden, and read as well", "rows are hidden, and read as well"))
     if merged:
         remarks.append(f"{counted(merged, 'cell')} filled with what is merged with them from above")
     if all(is_number(cell, ",") for cell in rows[0] if cell):
