@@ -1257,7 +1257,26 @@ def _touches(table: str, row: Callable[[int], str]) -> Hostile:
     return Hostile(write, ("performance", _RESULTS, table))
 
 
+def _naming(folder: Path, size: int) -> None:
+    """Write two tables of a hundred columns, each of which may name the rows of both, in another order."""
+    n = max(size // 1000, 3)
+    rows = (",".join(str((k + c) % n) for c in range(100)) for k in range(n))
+    text = "\n".join((",".join(f"c{c}" for c in range(100)), *rows)) + "\n"
+    for name in ("a.csv", "b.csv"):
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def _long_paths(folder: Path, size: int) -> None:
+    """Write a robot whose meshes have long paths, which are looked for below a hundred folders."""
+    mesh = repeated(lambda k: f'<visual><geometry><mesh filename="{k}{"/a" * 450}"/></geometry></visual>', size)
+    _edited(folder / "arm_cmm.urdf", "</link>", f"{mesh}</link>")
+    roots = ", ".join(f'"{"./" * k}."' for k in range(100))
+    _edited(folder / "calibration.toml", "[error_model]", f"mesh_roots = [{roots}]\n[error_model]")
+
+
 _OTHERS: dict[str, Hostile] = {
+    "columns that name rows": Hostile(_naming, ("import", "a.csv", "b.csv", "-o", "c.csv")),
+    "long paths of meshes": Hostile(_long_paths, ("check", "calibration.toml")),
     "blank lines of kinematics": _kinematics(lambda _: "\n"),
     "blanks of kinematics": _kinematics(lambda _: " "),
     "lists of kinematics that begin": _kinematics(lambda _: "delta_a=[\n"),
