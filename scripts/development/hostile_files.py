@@ -1270,7 +1270,7 @@ def _long_paths(folder: Path, size: int) -> None:
     """Write a robot whose meshes have long paths, which are looked for below a hundred folders."""
     mesh = repeated(lambda k: f'<visual><geometry><mesh filename="{k}{"/a" * 450}"/></geometry></visual>', size)
     _edited(folder / "arm_cmm.urdf", "</link>", f"{mesh}</link>")
-    roots = ", ".join(f'"{"./" * k}."' for k in range(100))
+    roots = ",\n".join(f'"{"./" * k}."' for k in range(100))
     _edited(folder / "calibration.toml", "[error_model]", f"mesh_roots = [{roots}]\n[error_model]")
 
 
