@@ -83,7 +83,7 @@ def parse_mesh(data: bytes, suffix: str, otherwise: Rgb, spare: int = MOST_CORNE
         return None
     parts = _by_library(data, suffix, otherwise) if triangles is None else [triangles]
     corners = 3 * sum(len(part.faces) for part in parts)
-    usable = 0 < corners <= spare + len(data) and all(map(is_sound, parts))
+    usable = 0 < corners <= spare + len(data) and all(map(is_sound, parts)) and any(map(_is_seen, parts))
     return Mesh(joined_by_colour(parts), max(corners, told.corners)) if usable else None
 
 
@@ -136,6 +136,11 @@ def is_sound(part: Triangles) -> bool:
     """Return whether vertices are numbers, and faces are of vertices that there are."""
     faces = part.faces
     return bool(np.isfinite(part.vertices).all() and ((faces >= 0) & (faces < len(part.vertices))).all())
+
+
+def _is_seen(part: Triangles) -> bool:
+    """Return whether vertices are in more than one place; they are not where a packing of them is not known (Draco)."""
+    return len(part.vertices) > 0 and bool(np.ptp(part.vertices, axis=0).max() > 0.0)
 
 
 def _triangles(mesh: Any, otherwise: Rgb) -> Triangles:

@@ -1,6 +1,7 @@
 """Triangles of mesh files: what is read here is what trimesh reads."""
 
 import io
+import json
 import struct
 import subprocess
 import sys
@@ -51,6 +52,31 @@ def test_binary_stl_that_does_not_hold_what_it_tells_is_refused() -> None:
         assert parse_mesh(binary_stl(corners, told), ".stl", GREY) is None
     assert parse_mesh(binary_stl(corners[:0]), ".stl", GREY) is None
     assert parse_mesh(binary_stl(corners)[:83], ".stl", GREY) is None
+
+
+def test_a_mesh_without_extent_is_none() -> None:
+    """As of a GLB that is packed by Draco: it was drawn as nothing at all, and no stick in its place."""
+    packing = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
+    tree = {
+        "asset": {"version": "2.0"},
+        "extensionsRequired": list(packing),
+        "buffers": [{"byteLength": 36}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "accessors": [
+            {"componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]},
+            {"componentType": 5123, "count": 3, "type": "SCALAR"},
+        ],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "extensions": packing}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+        "scene": 0,
+    }
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + 36, len(text), b"JSON")
+    data = head + text + struct.pack("<I4s", 36, b"BIN\0") + bytes(range(36))
+    assert parse_mesh(data, ".glb", GREY) is None
+    assert parse_mesh(binary_stl(np.ones((5, 3, 3))), ".stl", GREY) is None
 
 
 @pytest.mark.parametrize("number", [b"\x00\x00\xc0\x7f", b"\x01\x00\x80\x7f", b"\x00\x00\x80\x7f"])
