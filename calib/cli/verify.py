@@ -53,7 +53,7 @@ def verify(
         from calib.assessment.acceptance import verify as judged
         from calib.foundations.errors import MeasurementError
         from calib.foundations.ranges import RANGES, parse_within
-        from calib.job.columns import columns_of_results
+        from calib.job.columns import columns_of_results, not_new
         from calib.machine.identified import outside_identified
         from calib.machine.model_file import load_machine
         from calib.measurement.checks import refuse_findings, table_findings, unreached
@@ -98,7 +98,7 @@ def verify(
         # Else a wrong unit would be told as an arm that has changed.
         refuse_findings(table_findings(data, machine.robot.readings, machine.robot.reach))
         left_out = [finding.sentence for finding in unreached(data)]
-        doubts = doubts_of(results)
+        doubts = [*doubts_of(results), *not_new(results, measurements)]
         say("judging")
         found = judged(
             machine,

@@ -1,18 +1,20 @@
 """How a job reads its tables, for commands that are given more of the same kind."""
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from calib.foundations.errors import OutputError
-from calib.foundations.files import LARGEST_JSON, read_bytes
+from calib.foundations.errors import MeasurementError, OutputError
+from calib.foundations.files import LARGEST_JSON, read_bytes, sha256
 from calib.foundations.folders import reading_folder
 from calib.machine.run import refuse_other_run
 from calib.measurement.kinds import Kind
 from calib.measurement.table import AS_WRITTEN, Columns
 from calib.results.folder import JOB_FILE
+from calib.results.result_file import RESULT_FILE, read_result
 
 if TYPE_CHECKING:
     from calib.job.schema import MeasurementsSection
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 class _Table(BaseModel):
     model_config = ConfigDict(frozen=True)
 
+    file: str = ""
+    use: str = ""
     observes: Kind
     columns: dict[str, str]
     ignore: tuple[str, ...]
@@ -52,14 +56,29 @@ def columns_of_results(folder: Path, observes: Kind) -> Columns:
     A folder that was written from Python has no job: tables are read as they are written. Raises OutputError when the
     job is not readable.
     """
+    return columns_alike(table for table in _tables_of(folder) if table.observes == observes)
+
+
+def not_new(folder: Path, measurements: Path) -> list[str]:
+    """Return what is to be said of a table, the same byte for byte, that a folder's machine was identified from."""
+    fitted = [table.file for table in _tables_of(folder) if table.use == "identify"]
+    if not fitted or not os.path.lexists(folder / RESULT_FILE):
+        return []
+    inputs, own = read_result(folder).inputs, sha256(read_bytes(measurements, MeasurementError))
+    if own not in map(inputs.get, fitted):
+        return []
+    return [f"{measurements}: the machine was identified from this table; what was fitted verifies nothing."]
+
+
+def _tables_of(folder: Path) -> tuple[_Table, ...]:
     path = folder / JOB_FILE
     with reading_folder(folder):
         if not path.exists():
-            return AS_WRITTEN
+            return ()
         source = read_bytes(path, OutputError, LARGEST_JSON)
         try:
             job = _Job.model_validate_json(source)
         except ValidationError as e:
             raise OutputError(f"{path}: is not a job of this tool.") from e
         refuse_other_run(path, job.run)
-    return columns_alike(table for table in job.measurements if table.observes == observes)
+    return job.measurements

@@ -710,6 +710,15 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_what_was_fitted_is_told(case: Path, tmp_path: Path) -> None:
+    """The table of the fit passes, and shows nothing; the one that was held out is as good as new."""
+    copied = shutil.copy(case / "identification.csv", tmp_path / "new.csv")
+    said = f"{copied}: the machine was identified from this table; what was fitted verifies nothing."
+    found = run("verify", case / "out", copied, "--json")
+    assert (found.code, json.loads(found.out)["notes"]) == (0, [said])
+    assert json.loads(run("verify", case / "out", case / "validation.csv", "--json").out)["notes"] == []
+
+
 def test_verify_passes_and_fails(case: Path) -> None:
     out, table = case / "out", case / "validation.csv"
     good = run("verify", out, table, "--sigma", "0.02 mm", "--limit", "0.1 mm")
