@@ -270,8 +270,9 @@ def is_exported(walked: Walked, folder: Path) -> None:
     doubted = 0 if read_result(walked.out).trusted else 3
     said = run("cell", walked.out, walked.out, "-o", folder / "cell.urdf", *scene, "--prefix", "b_", "--quiet", *of)
     assert said == (doubted, "", ""), said.err
-    # Its base is in the instrument's frame, or, where rows do not say so, it may be taken as if it were.
-    placed = ("--placed-in", "instrument", "--quiet", *of)
+    # Its base is in the frame of what measured it, or, where rows do not say so, it may be taken as if it were.
+    within = "instrument" if walked.model.placed is None else walked.model.placed.within
+    placed = ("--placed-in", within, "--quiet", *of)
     said = run("cell", walked.out, walked.out, "-o", folder / "placed.urdf", *placed)
     assert said == (doubted, "", ""), said.err
 
