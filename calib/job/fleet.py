@@ -320,7 +320,7 @@ def _mind_quietly() -> None:
     from joblib.externals.loky.backend import resource_tracker  # noqa: PLC0415 - calib must not load it on import
 
     given = sys.warnoptions
-    sys.warnoptions = ["ignore"]  # it is started with these
+    sys.warnoptions = [*given, "ignore"]  # it is started with these; what -X dev and -b give, Python takes off again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     try:
         resource_tracker.ensure_running()

@@ -88,6 +88,15 @@ def test_an_environment_that_makes_no_sense_is_told(folder: Path, told: str) -> 
     assert value in done.stderr
 
 
+@pytest.mark.parametrize("options", [("-X", "dev"), ("-bb",)])
+def test_python_may_be_told_to_look_closely(folder: Path, options: tuple[str, ...]) -> None:
+    """Of what it warns of then, it takes its own off again as it starts a process, and expects to find it."""
+    quiet = "-W", "ignore"  # of libraries
+    command = [sys.executable, *quiet, *options, "-c", MAIN, "fleet", *jobs("plain.toml"), "-j", "1", "-q"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_the_same_bytes_as_single_runs_and_a_bad_job_stops_nobody(folder: Path) -> None:
     said = run("fleet", *jobs("bad.toml", *GOOD), "--jobs", "2")
     assert (said.code, said.err) == (1, "")
