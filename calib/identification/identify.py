@@ -25,9 +25,9 @@ from calib.identification.initialisation.problem import initial_problem, with_co
 from calib.identification.initialisation.tools_elsewhere import tools_elsewhere
 from calib.identification.learned import LearnedPrior, solve_learning
 from calib.identification.losses import Loss, refuse_losses
-from calib.identification.machine import Frames, Machine, machine, values_at
+from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.memory import with_memory
-from calib.identification.mirrored import LIKELY, behind, mirrored
+from calib.identification.mirrored import LIKELY, behind, mirrored, with_turns
 from calib.identification.noise import Noise, noise_of
 from calib.identification.not_seen import AlongNullSpace
 from calib.identification.parameters import Parameter, scales
@@ -46,6 +46,8 @@ _MOST_TURNS = 3
 _CLEARLY, _SOME = 0.05, 1.0
 # Two places tell a parameter as two values where these are that many standard deviations apart.
 _TWO = 4.0
+# A search has ended elsewhere if that differs by so many parameter scales.
+_ELSEWHERE = 1e-2
 # Frames of the nominal robot where an earlier fit has them, or as they begin.
 Placed = Literal["fitted", "begun"]
 # Rows that err together are weighed anew so often, until their common variance stays within that, as a logarithm.
@@ -245,7 +247,7 @@ def _identify(
         repeats=repeats,
         together=problem.together,
     )
-    fit = fit if alike is None else _told_once(fit, alike)
+    fit = fit if alike is None else _told_once(fit, problem, alike)
     # Of fits alike, which only compare, nobody asks how sure they are.
     return fit if begin is None or together is not None else _holding(fit, begin, whole.parameters)
 
@@ -387,7 +389,7 @@ def _searched(
     found = _with_anchors(problem, found, variances)
     if not once:
         problem, found, learned = _with_tools(problem, found, learned, x0, variances)
-        problem, found, learned, alike = _behind(problem, found, learned, variances)
+        problem, found, learned, alike = _behind(problem, found, learned, x0, variances)
     if found.freed:
         problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
     return problem, found, learned, alike
@@ -397,33 +399,36 @@ def _behind(
     problem: Problem,
     found: Solution,
     learned: tuple[LearnedPrior, ...],
+    x0: Array,
     variances: Sequence[float | None] | None,
 ) -> tuple[Problem, Solution, tuple[LearnedPrior, ...], Array | None]:
     """Return problem and solution, or those of a search from behind the planes of lengths, if they fit clearly better.
 
-    And the values (p,) to which that search has led, where they explain the rows as well.
+    And the values (p,) to which that search has led, where they explain the rows as well. Frames are held as at x0.
     """
     sigmas = _sigmas(problem, found)
     start = behind(problem, found.x, sigmas)
     if start is None:
         return problem, found, learned, None
-    end = seek(problem, start, variances)
+    end = seek(problem, x0, variances, Near(start, found.variances))
     found = found._replace(evaluations=found.evaluations + end.search.evaluator.count)
-    before, after = (_squares(problem, x, sigmas) + _of_stated_places(problem, x) for x in (found.x, end.x))
+    before, after = (_squares(problem, x, sigmas) + _of_stated_places(problem, x, x0) for x in (found.x, end.x))
     if _clearly_less(after, before - LIKELY):
-        problem, again, learned = solve_learning(problem, end.x, variances)
+        problem, again, learned = solve_learning(problem, x0, variances, Near(end.x, end.noise.variances))
         return problem, again._replace(evaluations=found.evaluations + again.evaluations), learned, None
-    return problem, found, learned, end.x if end.converged and after < before + LIKELY else None
+    apart = np.abs(with_turns(problem, end.x) - with_turns(problem, found.x)) / scales(problem.parameters)
+    alike = end.converged and after < before + LIKELY and apart.max() > _ELSEWHERE
+    return problem, found, learned, end.x if alike else None
 
 
-def _told_once(fit: Fit, alike: Array) -> Fit:
+def _told_once(fit: Fit, problem: Problem, alike: Array) -> Fit:
     """Return the fit beside a machine that explains the rows as well, at values (p,), without what differs there."""
+    one, other = (with_turns(problem, x) for x in (fit.values, alike))
     with np.errstate(invalid="ignore"):
-        twice = np.abs(alike - fit.values) > _TWO * fit.sigmas
-    frames = fit.machine.frames
+        twice = np.abs(other - one) > _TWO * fit.sigmas
     return replace(
         fit,
-        alike=machine(fit.robot, fit.parameters, frames, alike, fit.machine.deviations),
+        alike=problem.machine(alike),
         unidentifiable=read_only_view(fit.unidentifiable | twice),
         mirrored=read_only_view(fit.mirrored | twice),
     )
@@ -488,10 +493,13 @@ def _squares(problem: Problem, x: Array, sigmas: Sequence[Array]) -> float:
     )
 
 
-def _of_stated_places(problem: Problem, x: Array) -> float:
-    """Return the sum of squares at x (p,) of the priors that are stated for frames."""
-    own = [(p, value) for p, value in zip(problem.parameters, x, strict=True) if not p.of_robot and p.prior is not None]
-    return float(sum(((value - (p.centre or 0.0)) * p.hold / p.scale) ** 2 for p, value in own))
+def _of_stated_places(problem: Problem, x: Array, x0: Array) -> float:
+    """Return the sum of squares at x (p,) of the priors that are stated for frames, about their centres or x0 (p,)."""
+    return sum(
+        float((value - (start if p.centre is None else p.centre)) / p.prior) ** 2
+        for p, value, start in zip(problem.parameters, x, x0, strict=True)
+        if not p.of_robot and p.prior is not None
+    )
 
 
 def _sigmas(problem: Problem, found: Solution) -> tuple[Array, ...]:

@@ -103,11 +103,25 @@ def behind(problem: Problem, x: Array, sigmas: Sequence[Array]) -> Array | None:
             if component < 3:
                 found[k] = there[number][component, 3]
             elif kind == "base":
-                turned = there[number][:3, :3].T @ problem.reference.bases[number, :3, :3]
-                found[k] = -rigid.rpy_of(turned)[component - 3]
+                found[k] = _turns(problem, number, there[number])[component - 3]
         if there:
             return found
     return None
+
+
+def with_turns(problem: Problem, x: Array) -> Array:
+    """Return values x (p,) with the angles of bases, which several triples tell alike, as those of one kind."""
+    layout, bases, found = Layout.of(problem.model.robot, problem.reference), problem.machine(x).frames.bases, x.copy()
+    for k, parameter in enumerate(problem.parameters):
+        number, component = layout.frame_of(parameter) if parameter.kind == "base" else (0, 0)
+        if component >= 3:
+            found[k] = _turns(problem, number, bases[number])[component - 3]
+    return found
+
+
+def _turns(problem: Problem, number: int, base: Array) -> Array:
+    """Return the three angles (3,) of a base at a pose (4, 4)."""
+    return np.asarray(-rigid.rpy_of(base[:3, :3].T @ problem.reference.bases[number, :3, :3]))
 
 
 def _reflected(rows: _Lengths, kind: ParameterKind, at: Machine) -> dict[int, Array]:
@@ -116,7 +130,9 @@ def _reflected(rows: _Lengths, kind: ParameterKind, at: Machine) -> dict[int, Ar
     for number, own in numbered({"base": rows.setup, "tool": rows.tool, "target": rows.target}[kind]):
         if kind == "base":
             base = at.frames.bases[number]
-            across, along = _plane(rows.targets[own, :3, 3]), _plane((rigid.inverse(base) @ rows.tools[own])[:, :3, 3])
+            # Anchors that are in no plane tell the side; a search may have ended on the wrong one all the same.
+            across = _plane(rows.targets[own, :3, 3], np.inf)
+            along = _plane((rigid.inverse(base) @ rows.tools[own])[:, :3, 3])
             if across is not None and along is not None:
                 found[number] = across @ base @ along
         elif (across := _plane(rows.ends(kind)[own])) is not None:
@@ -126,13 +142,13 @@ def _reflected(rows: _Lengths, kind: ParameterKind, at: Machine) -> dict[int, Ar
     return found
 
 
-def _plane(ends: Array) -> Array | None:
-    """Return the mirror (4, 4) at the plane that points (n, 3) are in; None where they are in none."""
+def _plane(ends: Array, flat: float = _FLAT) -> Array | None:
+    """Return the mirror (4, 4) at the plane that points (n, 3) are in; None where they are in none, or too few."""
     middle = ends.mean(axis=0)
     if len(ends) < 3:
         return None
     _, sizes, Vt = svd(triangle(ends - middle))
-    return mirror(Vt[-1], middle) if sizes[-1] <= _FLAT * sizes[-2] else None
+    return mirror(Vt[-1], middle) if sizes[-1] <= flat * sizes[-2] else None
 
 
 def _by_lengths(rows: _Lengths, kind: ParameterKind, asked: set[int]) -> set[int]:

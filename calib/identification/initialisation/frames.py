@@ -25,7 +25,7 @@ from calib.identification.initialisation.base_and_tools import (
 )
 from calib.identification.initialisation.carried import Carried
 from calib.identification.initialisation.lenses import with_found_lenses
-from calib.identification.initialisation.target_poses import NEGLIGIBLE, centre, with_targets
+from calib.identification.initialisation.target_poses import NEGLIGIBLE, centre, other_side, with_targets
 from calib.identification.initialisation.touched_balls import touched_with
 from calib.identification.machine import Frames, Machine
 from calib.measurement.kinds import Kind
@@ -226,9 +226,13 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
             for rows in carried
             if rows.data.kind in ("socket", "pixels")
         ]
-        found = [some for some in (*found, _centres(carried, frames, shown, int(s))) if len(some.tips)]
-        every = TipObservations(*(np.concatenate(parts) for parts in zip(*found, strict=True))) if found else None
-        if every is None or (np.isnan(every.orientation).any() and _places(every) < _LEAST_PLACES):
+        # Lengths of an arm that moves in a plane put anchors on either side of it.
+        sides = [
+            TipObservations(*(np.concatenate(parts) for parts in zip(*found, centres, strict=True)))
+            for centres in _centres(carried, frames, shown, int(s))
+        ]
+        every = sides[0]
+        if not len(every.tips) or (np.isnan(every.orientation).any() and _places(every) < _LEAST_PLACES):
             if not stands.any() or not _needs_base(carried, int(s)):
                 # Too little is known to place any base: it begins as given, and the null space says so.
                 stands[s] = True
@@ -239,9 +243,18 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
                 "positions there, or three sockets whose places are known or found from another set-up, or give its "
                 "pose."
             )
-        bases[s] = base_and_tools(every, KnownFrames(None, at.tools[:, :3, 3], at.tools[:, :3, :3]), at.tools).base
+        known = KnownFrames(None, at.tools[:, :3, 3], at.tools[:, :3, :3])
+        tried = [base_and_tools(some, known, at.tools).base for some in sides]
+        bases[s] = tried[
+            int(np.argmin([_missed(some, base, at.tools) for some, base in zip(sides, tried, strict=True)]))
+        ]
         stands[s] = True
     return at._replace(bases=bases, stands=stands)
+
+
+def _missed(rows: TipObservations, base: Array, tools: Array) -> float:
+    """Return the sum of squares by which positions are missed with a base."""
+    return float(np.sum(((base @ rows.tips @ tools[rows.tool])[:, :3, 3] - rows.position) ** 2))
 
 
 def _needs_base(carried: Sequence[Carried], setup: int) -> bool:
@@ -275,9 +288,12 @@ def _as_positions(carried: Carried, frames: Frames, rows: BoolArray) -> TipObser
     return TipObservations(tips[n], placed[:, :3, 3], placed[:, :3, :3], data.tool[n])
 
 
-def _centres(carried: Sequence[Carried], frames: Frames, shown: BoolArray, setup: int) -> TipObservations:
-    """Return anchors and balls that are ``shown`` (t,) as positions of a tool, put in the base by their lengths."""
-    tips, positions, tools = [np.zeros((0, 4, 4))], [np.zeros((0, 3))], [np.zeros(0, dtype=np.intp)]
+def _centres(carried: Sequence[Carried], frames: Frames, shown: BoolArray, setup: int) -> list[TipObservations]:
+    """Return anchors and balls that are ``shown`` (t,) as positions of a tool, put in the base by their lengths.
+
+    Where these fit on either side of a plane, on sides as apart as is known, and all on the other side as well.
+    """
+    places, others, positions, tools = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), list[int]()
     for t in np.flatnonzero(shown):
         own = [
             rows.some((rows.data.target == t) & (rows.data.setup == setup))
@@ -290,12 +306,30 @@ def _centres(carried: Sequence[Carried], frames: Frames, shown: BoolArray, setup
         about = [
             (rows.data, (rows.tips @ rows.data.placed_by(frames.tools))[:, :3, 3], rows.data.value) for rows in own
         ]
-        tool = int(own[0].data.tool[0])
-        tips.append(rigid.placement(np.eye(3)[None], (centre(about) - frames.tools[tool, :3, 3])[None]))
-        positions.append(frames.targets[t : t + 1, :3, 3])
-        tools.append(np.array([tool], dtype=np.intp))
-    every = np.concatenate(positions)
-    return TipObservations(np.concatenate(tips), every, np.full((len(every), 3, 3), np.nan), np.concatenate(tools))
+        place = centre(about)
+        places, others = np.vstack([places, place]), np.vstack([others, other_side(about, place)])
+        positions = np.vstack([positions, frames.targets[t, :3, 3]])
+        tools.append(int(own[0].data.tool[0]))
+    number, turned = np.array(tools, dtype=np.intp), np.full((len(tools), 3, 3), np.nan)
+    return [
+        TipObservations(rigid.translation(x - frames.tools[number, :3, 3]), positions, turned, number)
+        for x in _on_sides(places, others, positions)
+    ]
+
+
+def _on_sides(places: Array, others: Array, positions: Array) -> tuple[Array, ...]:
+    """Return places, or the ``others`` (n, 3) of them, that are as far apart as positions are; and all the others."""
+    taken, done = np.zeros(len(places), dtype=np.bool_), list[int]()
+    found = places.copy()
+    for k in np.argsort(-np.linalg.norm(places - others, axis=1), kind="stable"):
+        apart = np.linalg.norm(positions[done] - positions[k], axis=1)
+        here, there = (np.sum((np.linalg.norm(found[done] - x[k], axis=1) - apart) ** 2) for x in (places, others))
+        taken[k] = there < here
+        found[k] = others[k] if taken[k] else places[k]
+        done.append(int(k))
+    if np.array_equal(places, others):
+        return (found,)
+    return found, np.where(taken[:, None], places, others)
 
 
 def initial_frames(model: ErrorModel, sets: Sequence[Measurements]) -> Frames:
