@@ -399,7 +399,7 @@ def _group(
 ) -> OutlyingGroup:
     C, J, r, parameters, blocks, taken = _seen_by(residue, collected, shared)
     U, s, Vt = svd(J, full_matrices=False)
-    # What the group cannot use by itself is noise: alone, sockets want a machine that is shrunk to a point.
+    # What the group hardly shows by itself is noise.
     seen = s > max(NUMERICAL_TOLERANCE, RANK_TOLERANCE * s.max(initial=0.0))
     # In its own principal directions the group says R x + c, and beyond them only its own scatter.
     R, c = s[seen, None] * Vt[seen], U[:, seen].T @ r

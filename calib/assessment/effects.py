@@ -40,8 +40,6 @@ _AXES_TAKEN = 1e-4
 # Rows that remember more than so many others are a smooth path; rows beside a place that show a change there, and what
 # share of it; how much of all rows parameters take up at most then.
 _SMOOTH, _FEW_ROWS, _AT_ONCE, _LITTLE = 1.0, 4, 0.75, 0.1
-# Widths of weak priors of the robot's parameters by which no change of anything else changes them.
-_FARTHEST = 3.0
 # No motion that is fitted enlarges the whitened sum of squares; priors let it grow by less than this.
 _GROWN = 1.0
 _MOST_SPLITS = 60
@@ -101,11 +99,8 @@ class Step:
 NO_EFFECT = Effect(float("nan"), float("nan"), float("nan"))
 
 
-def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array, widths: Array | None = None) -> Effect:
-    """Return how large an effect is that would change the whitened numbers of every part by ``directions`` (n, d).
-
-    ``widths``: how far parameters may go with it, as :func:`score_test` has them.
-    """
+def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> Effect:
+    """Return how large an effect is that would change the whitened numbers of every part by ``directions`` (n, d)."""
     if not parts:
         return NO_EFFECT
     r, d = (np.concatenate([x.ravel() for x in xs]) for xs in ([part.r for part in parts], directions))
@@ -116,8 +111,6 @@ def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array, widt
     if not _TAKEN * float(d @ d) < M:
         return NO_EFFECT
     value = -float(left @ r) / M
-    if widths is not None and np.any(np.abs(value * taken[: len(widths)]) >= _FARTHEST * widths):
-        return NO_EFFECT
     rest = r + left * value
     lengths = [len(part.r) for part in parts]
     ends = np.cumsum([part.r.size for part in parts])[:-1]
@@ -165,7 +158,7 @@ def _gain(parts: Sequence[Stretch], turned: Sequence[Array], motions: Sequence[A
     within, own = _besides(parts, [Z[:, :, None] for Z in turned], C)
     every = zip(within, turned, motions, strict=True)
     usable = [(part, Z * motion[:, None]) for part, Z, motion in every if part.data.other is None]
-    return effect([part for part, _ in usable], [d for _, d in usable], own, parts[0].widths)
+    return effect([part for part, _ in usable], [d for _, d in usable], own)
 
 
 def _besides(parts: Sequence[Stretch], motions: Sequence[Array], C: Array) -> tuple[tuple[Stretch, ...], Array]:
@@ -311,21 +304,15 @@ class Score(NamedTuple):
     sizes: Array
 
 
-def score_test(A: Array, S: Array, g: Array, C: Array, widths: Array | None = None, *, taken: float = _TAKEN) -> Score:
+def score_test(A: Array, S: Array, g: Array, C: Array, *, taken: float = _TAKEN) -> Score:
     """Return the score test of directions D: of A = D^T D (..., k, k), S = D^T J (..., k, p) and g = D^T r (..., k).
 
     Directions of whose square the parameters leave less than the share ``taken`` are theirs.
-    ``widths`` (m,): how far the first m parameters may be from what was found, as far as is known before anything is
-    measured. Directions by which they would go farther are none: what only a shrunk machine explains is noise.
     """
     values, V = np.linalg.eigh(A - S @ C @ np.swapaxes(S, -1, -2))
     kept = values > taken * np.trace(A, axis1=-2, axis2=-1)[..., None] / A.shape[-1]
     u = np.einsum("...ij,...i->...j", V, g)
     weighed = np.where(kept, u / np.where(kept, values, 1.0), 0.0)
-    if widths is not None:
-        followed = C[: len(widths)] @ np.swapaxes(S, -1, -2) @ V * weighed[..., None, :]
-        kept &= np.all(np.abs(followed) < _FARTHEST * widths[:, None], axis=-2)
-        weighed = np.where(kept, weighed, 0.0)
     return Score(
         np.sum(u * weighed, axis=-1), np.count_nonzero(kept, axis=-1), -np.einsum("...ij,...j->...i", V, weighed)
     )
@@ -335,7 +322,7 @@ def _score_of(D: Array, part: Stretch, C: Array, *, taken: float = _TAKEN) -> tu
     """Return the score test of directions D (n d, k) of a part alone, and what they change in it (n, d)."""
     J = part.J.reshape(part.r.size, -1)
     S = D.T @ J
-    score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C, part.widths, taken=taken)
+    score = score_test(D.T @ D, S, D.T @ part.r.ravel(), C, taken=taken)
     return score, ((D - J @ (C @ S.T)) @ score.sizes).reshape(part.r.shape)
 
 
@@ -593,7 +580,7 @@ def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step 
     places = np.unique(np.linspace(_LEAST_ROWS, n - _LEAST_ROWS, _MOST_SPLITS).astype(np.intp))
     J = part.J.reshape(n * d, -1)
     S, g, A = (_summed(Z, of, places) for of in (part.J, part.r[:, :, None], Z))
-    scores = score_test(A, S, g[:, :, 0], C, part.widths)
+    scores = score_test(A, S, g[:, :, 0], C)
     best = int(np.argmax(scores.gain))
     score, place = Score(*(of[best] for of in scores)), int(places[best])
     if score.gain <= 0.0:

@@ -7,7 +7,7 @@ place of many rows a triangle of ``[J r]`` says the same.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -18,10 +18,9 @@ from calib.foundations.chance import exceeded
 from calib.identification import losses, weights
 from calib.identification.arrow import Covariance, Split
 from calib.identification.fit import Fit
-from calib.identification.machine import values_at
 from calib.identification.parameters import scales
 from calib.identification.rates import Block, Rates
-from calib.identification.system import Problem, without_rows
+from calib.identification.system import Problem
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 
@@ -215,32 +214,12 @@ class Residue:
     def _rates(self) -> Rates:
         return self.problem.rates(self.fit.machine, scales(self.fit.parameters), self.split)
 
-    @cached_property
-    def strains(self) -> tuple[Array, Array]:
-        """Directions A (p, j) and coordinates B (p, j) of strains that the fit took out: its rows are J - J A B^T."""
-        problem, none = replace(self.problem, held=self.fit.machine.deviations), np.zeros((len(self.fit.parameters), 0))
-        if problem.motions is None or not problem.motions.strained:
-            return none, none
-        x = values_at(self.fit.model.robot, self.fit.parameters, self.fit.machine.frames, self.fit.machine.deviations)
-        sigmas = weights.sigmas_of(problem, self.fit.variances, self.fit.residuals)
-        A, B = without_rows(problem, sigmas, x, self.split)[1].strains_beside_exact
-        own = self.covariance.follow @ A
-        return self.split.whole(A, own), self.split.whole(B, np.zeros_like(own))
-
     def blocks(self, only: int | None = None) -> Iterator[WhitenedRows]:
         """Yield all rows, or those of one set, block by block, as the fit has them."""
-        common, c = self.split.common, len(self.split.common)
-        A, B = (part[common] for part in self.strains)
         for i in range(len(self.fit.measurements)) if only is None else [only]:
             for block in self._rates.blocks(self.fit.measurements[i]):
                 sigma = self.sigma[i][block.rows]
                 J, number = _compact(block)
-                if A.size:
-                    seen = J[:, :, :c] @ A
-                    if J.shape[2] > c:
-                        follow = np.where(number[:, None, None] >= 0, self.covariance.follow[number], 0.0)
-                        seen += J[:, :, c:] @ follow @ A
-                    J[:, :, :c] -= seen @ B.T
                 whole = np.concatenate([J, block.observed.residual[:, :, None]], axis=2) / sigma[:, :, None]
                 whole = self.problem.whitened(i, block.rows, whole)
                 yield WhitenedRows(i, block.rows, whole[:, :, -1], whole[:, :, :-1], number, self.w[i][block.rows])

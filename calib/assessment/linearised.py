@@ -20,12 +20,11 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import IdentificationError
 from calib.identification.error_model import with_terms
 from calib.identification.fit import Fit
-from calib.identification.identifiability import NUMERICAL_TOLERANCE
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
 from calib.identification.parameters import directions, scales
-from calib.identification.system import without_rows
+from calib.identification.system import related
 from calib.identification.weights import sigmas_of
 from calib.identification.widths import TOO_UNLIKE
 from calib.machine.tool_motion import tool_jacobian
@@ -134,9 +133,8 @@ class LinearisedSystem:
         )
         self._kept: tuple[_Rows, ...] | None = None
         self._looked_at = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
-        # Known without any row: relations between targets, that turns and a size which nothing tells stay, and priors.
-        related, moving = without_rows(self._problem, self._sigmas, self._x, self._split)
-        rows = np.concatenate([related, np.pad(moving.told_by.T / NUMERICAL_TOLERANCE, ((0, 0), (0, 1)))])
+        # Known without any row: relations between targets, and priors.
+        rows = related(self._problem, self._x, self._split)
         self._known = rows.T @ rows
         priors, self._held = self._split.parts(np.array([parameter.hold for parameter in parameters]) ** 2)
         self._held[~self._split.real] = 1.0

@@ -27,8 +27,7 @@ class Stretch:
     """Rows of one set in their order, whitened: ``r`` (n, d), ``J`` (n, d, k); how they follow what is no parameter.
 
     Of photographs that err together all is less what rows have in common: an arm that does not come back is no other.
-    ``columns`` (k,): the fit's parameters by which J is, by number; ``widths`` (k,): of their weak priors, in scales,
-    where they are the robot's, else infinite.
+    ``columns`` (k,): the fit's parameters by which J is, by number.
     ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
     motion of the base and of the tool, in m and rad; ``by_growth`` (n, d): all lengths longer by their whole, of
     positions alone. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
@@ -44,7 +43,6 @@ class Stretch:
     r: Array
     J: Array
     columns: IntArray
-    widths: Array
     joints: tuple[str, ...]
     by_joint: Array
     by_base: Array
@@ -87,8 +85,6 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
     of_follower, followed = [k for k, _ in ties], [i for _, i in ties]
     units = np.ones(len(parameters))
     judged = tuple(fit.parameters[k] for k in residue.judged)
-    widths = np.array([p.weak_prior / p.scale if p.of_robot else np.inf for p in judged])
-    A, B = (part[residue.judged] for part in residue.strains)
     found = []
     for i, data in enumerate(fit.measurements):
         rows = _chosen(data, residue)
@@ -106,7 +102,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
         J, left = np.empty((*part.sigma.shape, len(judged))), np.empty(part.sigma.shape)
         for b in mine.rates(fit.machine, scales(judged)).blocks(part):
             J[b.rows], left[b.rows] = b.J / sigma[b.rows] * w[b.rows], b.observed.residual
-        J = less(J - (J @ A) @ B.T)
+        J = less(J)
         r = less(left[:, :, None] / sigma * w)[:, :, 0]
         rates, step = _rates(data, fit.machine.frames.scalars)
         found.append(
@@ -114,7 +110,6 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 r,
                 J,
                 residue.judged,
-                widths,
                 tuple(names[k] for k in own),
                 by_offset[:, :, own],
                 by_base,

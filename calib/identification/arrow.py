@@ -107,25 +107,11 @@ class Part(NamedTuple):
         common, own = self.split.parts(step)
         return _after(self.heads.rows, self.rest, common, own[self.heads.which], 1.0)
 
-    def without(self, follow: Array, taken: tuple[Array, Array]) -> "Part":
-        """Return rows without what is ``taken``, as :func:`_without` does, blocks (m, a, c) following."""
-        rows, rest = _without(self.heads.rows, self.rest, follow[self.heads.which], taken)
-        return Part(self.split, self.heads._replace(rows=rows), rest)
-
 
 def _after(heads: Array, rest: Array, common: Array, own: Array, share: float) -> float:
     a = own.shape[1]
     of_blocks = (heads[:, :, :a] @ own[:, :, None])[:, :, 0] + heads[:, :, a:-1] @ common + share * heads[:, :, -1]
     return float(np.sum(of_blocks**2) + np.sum((rest[:, :-1] @ common + share * rest[:, -1]) ** 2))
-
-
-def _without(heads: Array, rest: Array, follow: Array, taken: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return rows that see nothing along directions A (c, k) that coordinates B (c, k) tell: J - J A B^T."""
-    a, (A, B) = follow.shape[1], taken
-    heads, rest = heads.copy(), rest.copy()
-    heads[:, :, a:-1] -= ((heads[:, :, :a] @ follow + heads[:, :, a:-1]) @ A) @ B.T
-    rest[:, :-1] -= (rest[:, :-1] @ A) @ B.T
-    return heads, rest
 
 
 class Collected:
@@ -295,10 +281,6 @@ class Arrow:
             np.swapaxes(Vt, -1, -2),
             linear.triangle(rest),
         )
-
-    def without(self, follow: Array, taken: tuple[Array, Array]) -> "Arrow":
-        """Return rows without what is ``taken``, as :func:`_without` does, blocks (m, a, c) following."""
-        return Arrow(self.split, *_without(self.heads, self.rest, follow, taken))
 
 
 def gathered(split: Split, heads: Sequence[Heads], rests: Sequence[Array]) -> Arrow:

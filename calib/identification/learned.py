@@ -17,7 +17,6 @@ from calib.identification.arrow import Arrow
 from calib.identification.parameters import Parameter, scales
 from calib.identification.solver import Near, Solution, Sought, seek, solve
 from calib.identification.system import Evaluation, Problem
-from calib.identification.unmeasured import without
 from calib.identification.widths import WIDEST, NormalEquations, likeliest_widths, likelihood
 
 Outcome = Literal["learned", "too few", "nothing shows", "widest"]
@@ -119,10 +118,7 @@ def _equations(
     shift[:p, p] = np.where(stated, -found.x[evaluation.split.common] / scales(parameters), 0.0)
 
     def gram(triangle: Array) -> Array:
-        seen = triangle.copy()
-        if evaluation.set_up_motions.any:
-            seen[:, :-1] = without(seen[:, :-1], evaluation.set_up_motions)
-        shifted = seen @ shift
+        shifted = triangle @ shift
         return np.asarray(shifted.T @ shifted)
 
     known = gram(evaluation.relations)

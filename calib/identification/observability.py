@@ -17,8 +17,8 @@ from calib.identification.identifiability import NullDirection
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import Layout, values_at
 from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter
-from calib.identification.system import Evaluation, Problem, evaluate, without_rows
-from calib.identification.weights import search_variances, sigmas_of
+from calib.identification.system import Evaluation, Problem, evaluate
+from calib.identification.unseen_strains import unseen_strains
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
 
@@ -99,8 +99,8 @@ def rank_findings(model: ErrorModel, measurements: Sequence[Measurements]) -> tu
     """
     problem = initial_problem(model, measurements)
     found = []
-    moving = problem.motions
-    if moving is not None and moving.grows and _at_start(problem).set_up_motions.exact[:, -1].any():
+    unseen = unseen_strains(problem)
+    if unseen.size:
         found.append(
             Finding(
                 "warning",
@@ -111,7 +111,7 @@ def rank_findings(model: ErrorModel, measurements: Sequence[Measurements]) -> tu
                 "diameter, or positions from an instrument.",
             )
         )
-    if moving is not None and moving.strained and _hardly_told(problem):
+    if unseen.proportions:
         found.append(
             Finding(
                 "warning",
@@ -157,16 +157,7 @@ def _unturned(problem: Problem) -> Iterator[Finding]:
         )
 
 
-def _hardly_told(problem: Problem) -> bool:
-    """Return whether the rows, with their noise, tell some strain of the arm so badly that it is taken out."""
-    sigmas = sigmas_of(problem, search_variances(problem), search=True)
-    _, found = without_rows(problem, sigmas, values_at(problem.model.robot, problem.parameters, problem.reference))
-    return bool(found.strains.size)
-
-
 def _at_start(problem: Problem) -> Evaluation:
     # One millimetre, milliradian or pixel of noise: only the shape of what is seen matters here.
     ones = [np.full(data.sigma.shape, 1e-3 if data.camera is None else 1.0) for data in problem.measurements]
-    found = evaluate(problem, ones, values_at(problem.model.robot, problem.parameters, problem.reference))
-    # By how much noise strains are hardly told is not asked here.
-    return found._replace(set_up_motions=found.set_up_motions.exact_alone)
+    return evaluate(problem, ones, values_at(problem.model.robot, problem.parameters, problem.reference))

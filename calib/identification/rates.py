@@ -8,14 +8,12 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import PoseError
-from calib.identification.imitated_motions import TargetsFollowed
 from calib.identification.machine import Machine
 from calib.identification.observations.pixels import Photographed, of_photographs, photographed
 from calib.identification.observations.seen import Linearised, Moved, Seen
 from calib.identification.rows import (
     held_at,
     named,
-    observed_rows,
     on_links,
     one_or_all,
     row_blocks,
@@ -23,41 +21,29 @@ from calib.identification.rows import (
     setups_of,
 )
 from calib.identification.selection import NO_FRAME, Selection
+from calib.identification.stances import Links, Stances, touches
 from calib.measurement.measurements import Measurements
 from calib.measurement.streams.stream import SHIFTS
 from calib.robot.kinematics import Follow, followed
-from calib.robot.robot import Nominals, Robot, TipModel, TipMotion
+from calib.robot.robot import Nominals, Robot, TipMotion
 
 
 class Block(NamedTuple):
     """Rows of one set: residuals with derivatives, and their Jacobian (n, d, c) by common parameters.
 
-    ``own`` (n, d, a): their derivatives by the parameters of the row's ``block`` (n,), -1 for none; both are None where
-    all are common. ``moved``: the tools, and other ends. ``grounds``: which of the rows are told in which link, None
-    being the floor.
+    ``readings`` (n, nr): those at which the derivatives are; of touches the tool is at its target there. ``own`` (n, d,
+    a): derivatives by the parameters of the row's ``block`` (n,), -1 for none; both are None where all are common.
+    ``moved``: the tools, and other ends. ``grounds``: which of the rows are told in which link, None being the floor.
     """
 
     rows: slice
+    readings: Array
     observed: Linearised
     J: Array
     own: Array | None
     block: IntArray | None
     moved: tuple[Moved, ...]
     grounds: tuple[tuple[str | None, IntArray | slice], ...]
-
-
-class Links(dict[str, TipModel]):
-    """Models of a robot as the one of a machine is, by the link that they look at; "" is the robot's tip."""
-
-    def __init__(self, robot: Robot, at: Machine, nominals: Nominals | None = None) -> None:
-        super().__init__()
-        self._robot, self._at, self._nominals = robot, at, Nominals() if nominals is None else nominals
-
-    def __missing__(self, link: str) -> TipModel:
-        robot = self._robot if link in ("", self._robot.tip) else self._robot.with_tip(link)
-        found = TipModel(robot, self._at.deviations, self._nominals[self._robot], self._at.motions)
-        self[link] = found
-        return found
 
 
 class _Clocked(NamedTuple):
@@ -83,21 +69,14 @@ class Rates:
     def __init__(self, robot: Robot, nominals: Nominals, selection: Selection, at: Machine) -> None:
         self._robot, self._frames, self._selection = robot, at.frames, selection
         self._links = Links(robot, at, nominals)
+        self._stances = Stances(at, self._links, robot.reach)
         self._at, self._of_targets = at, selection.of_targets.turned(at.target_twists)
         self._on: dict[str, tuple[Array, Array]] = {}
         self._by: dict[tuple[str, int, int], Array] = {}
 
-    @property
-    def of_targets(self) -> TargetsFollowed:
-        """How targets follow common parameters."""
-        c = self._selection.common
-        numbers = self._of_targets.following(c)
-        return TargetsFollowed(numbers, self._of_targets.written_out(numbers, c))
-
-    @property
-    def of_scalars(self) -> Array:
-        """How scalars (s, c) follow common parameters."""
-        return self._selection.of_scalars[:, : self._selection.common]
+    def of_targets(self, numbers: Sequence[int]) -> Array:
+        """Return the local twists (n, 6, c) of some targets, by number, for the common parameters."""
+        return self._of_targets.written_out(np.asarray(numbers, dtype=np.intp), self._selection.common)
 
     def whose(self, data: Measurements) -> IntArray | None:
         """Return the blocks (N,) that rows of a set are about, -1 for none; None where there are no blocks at all."""
@@ -140,7 +119,9 @@ class Rates:
                 J[on] += self._through_robot(link, back, seat, held[on], NO_FRAME, NO_FRAME)
             self._complete(J, data, observed, target)
             by_own, block = (None, None) if whose is None else (J[:, :, c:], whose[at])
-            yield Block(rows, observed, J[:, :, :c], by_own, block, (Moved(observed.tool, tools),), ())
+            yield Block(
+                rows, data.readings[at], observed, J[:, :, :c], by_own, block, (Moved(observed.tool, tools),), ()
+            )
 
     def _complete(self, J: Array, data: Measurements, observed: Linearised, target: IntArray) -> None:
         """Add to derivatives (n, d, c + a) what comes through targets (n,) and scalars."""
@@ -150,50 +131,31 @@ class Rates:
             J += by_scalar[:, :, None] * self._selection.of_scalars[data.uses[role]]
 
     def blocks(self, data: Measurements) -> Iterator[Block]:
-        """Yield the rows of one set, block by block."""
-        frames, tip, whose, c = self._frames, self._links[data.tip], self.whose(data), self._selection.common
+        """Yield the rows of one set, block by block; of touches J is that where the tool is at its target."""
+        frames, whose, c = self._frames, self.whose(data), self._selection.common
         for rows in row_blocks(data):
-            setups, tool, others, there = setups_of(data, rows), one_or_all(data.tool[rows], data.tools), None, None
-            base, group = np.asarray(frames.bases[setups]), setups
             try:
                 told = data.conditions_at(frames.scalars, rows, moving=self._robot.weights is not None)
-                readings = data.readings_at(frames.scalars, rows)
-                motion = tip.motion(readings, told)
-                if data.other is not None:
-                    other = one_or_all(data.other.tool[rows], data.tools)
-                    there = tip.motion(data.other.readings[rows], data.other.conditions.subset(rows))
-                    others = held_at(there.tip, frames.tools, other, data.other.points, rows)
-                seats = [
-                    (link, own, self._links[link].motion(readings[own], told.subset(own)))
-                    for link, own in on_links(data, rows)
-                ]
+                at = self._stances.at(data, rows, data.readings_at(frames.scalars, rows), told)
+                if touches(data):
+                    at = self._stances.at_targets(data, rows, at, told)
             except PoseError as e:
                 raise named(e, data, rows) from e
-            if seats:
-                group = np.array(setups)
-                for _, own, seat in seats:
-                    base[own], group[own] = rigid.inverse(seat.placement), NO_FRAME
-            held = held_at(motion.tip, frames.tools, tool, data.points, rows)
-            observed, ends = observed_rows(data, rows, frames, base, held, others)
-            moved = [Moved(observed.tool, ends[0])]
-            clock, turned = self._clock(data, rows), base[..., :3, :3]
-            then = None if clock is None else (readings, clock)
-            in_base = [follow.seen_from(turned) for follow in observed.tool]
-            J = self._through_robot(data.tip, in_base, motion, held, tool, group, then)
-            if data.other is not None and there is not None and others is not None:
-                moved.append(Moved(observed.other, ends[1]))
-                by_other = [follow.seen_from(turned) for follow in observed.other]
-                J += self._through_robot(data.tip, by_other, there, others, other, group)
-            for link, own, seat in seats:
+            in_base, clock = at.in_base(at.observed.tool), self._clock(data, rows)
+            then = None if clock is None else (at.readings, clock)
+            tool = one_or_all(data.tool[rows], data.tools)
+            J = self._through_robot(data.tip, in_base, at.tip, at.tool, tool, at.group, then)
+            if data.other is not None and at.other_tip is not None and at.other_tool is not None:
+                other, by_other = one_or_all(data.other.tool[rows], data.tools), at.in_base(at.observed.other)
+                J += self._through_robot(data.tip, by_other, at.other_tip, at.other_tool, other, at.group)
+            for link, own, seat in at.seats:
                 # What is seen from a link that moves, moves the other way.
                 back = [follow.of(own).negative() for follow in in_base]
-                then = None if clock is None else (readings[own], clock.subset(own))
-                J[own] += self._through_robot(link, back, seat, held[own], NO_FRAME, NO_FRAME, then)
-            self._complete(J, data, observed, data.target[rows])
-            on_floor: IntArray | slice = np.flatnonzero(group != NO_FRAME) if seats else slice(None)
-            grounds = ((None, on_floor), *((link, these) for link, these, _ in seats))
+                then = None if clock is None else (at.readings[own], clock.subset(own))
+                J[own] += self._through_robot(link, back, seat, at.tool[own], NO_FRAME, NO_FRAME, then)
+            self._complete(J, data, at.observed, data.target[rows])
             by_own, block = (None, None) if whose is None else (J[:, :, c:], whose[rows])
-            yield Block(rows, observed, J[:, :, :c], by_own, block, tuple(moved), grounds)
+            yield Block(rows, at.readings, at.observed, J[:, :, :c], by_own, block, at.moved, at.grounds)
 
     def _through_robot(
         self,

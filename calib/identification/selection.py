@@ -65,10 +65,6 @@ class FramesFollow(NamedTuple):
         """The numbers of all frames, and last that of none."""
         return np.arange(len(self.by))
 
-    def following(self, width: int) -> IntArray:
-        """Return which frames follow some of the first parameters."""
-        return np.flatnonzero((self.by.any(axis=1) & (self.columns < width)).any(axis=1))
-
 
 class Selection:
     """Which of the state the parameters of a split move, for ``units`` (p,) of each.

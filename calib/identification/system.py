@@ -18,13 +18,11 @@ from calib.foundations.errors import PoseError
 from calib.identification.arrow import Arrow, Collected, Heads, Part, Split, alike, gathered
 from calib.identification.elimination import split_of
 from calib.identification.error_model import ErrorModel
-from calib.identification.identifiability import RANK_TOLERANCE
-from calib.identification.imitated_motions import SetUpMotions
 from calib.identification.losses import Loss
 from calib.identification.machine import Frames, Layout, Machine, States
 from calib.identification.observations.pixels import Photographed
 from calib.identification.parameters import Parameter, scales
-from calib.identification.rates import Links, Rates
+from calib.identification.rates import Rates
 from calib.identification.relations import Relation, relate, related_targets
 from calib.identification.rows import (
     held_at,
@@ -37,9 +35,8 @@ from calib.identification.rows import (
     setups_of,
 )
 from calib.identification.selection import Selection
-from calib.identification.set_up_motions import Motions, motions
+from calib.identification.stances import Links
 from calib.identification.together import PhotographRows, Together
-from calib.identification.unmeasured import Unmeasured, taken_out
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Deviations, Nominals, Robot
@@ -103,14 +100,9 @@ class Problem:
         return States(self.model.robot, self.parameters, self.reference, self.held)
 
     @cached_property
-    def motions(self) -> Motions | None:
-        """How the whole set-up may move with no effect on what is measured."""
-        return motions(self.measurements, self.model.targets, self.relations, self.reference.base[:3, 3])
-
-    @cached_property
     def photographs(self) -> tuple[IntArray | None, ...]:
         """The photograph (N,) of every row of each set; None where rows have to be evaluated one by one."""
-        if self.motions is not None or self.model.robot.loops:
+        if self.model.robot.loops:
             return (None,) * len(self.measurements)
         return tuple(photographs_of(data) for data in self.measurements)
 
@@ -135,12 +127,8 @@ class Problem:
 
     @cached_property
     def of_known_widths(self) -> Split:
-        """The same where no width is to be learned.
-
-        Known relations join targets to each other. What the whole set-up's motions are imitated by is seen together,
-        targets aside.
-        """
-        return self._by_what_is_known(targets_alone=self.motions is not None)
+        """The same where no width is to be learned. Known relations join targets to each other."""
+        return self._by_what_is_known(targets_alone=False)
 
     @cached_property
     def targets_apart(self) -> Split:
@@ -188,10 +176,7 @@ class Problem:
 
 
 class Rows(NamedTuple):
-    """All that data say, nothing of motions that they cannot see: of every component its heads and the rest, and all.
-
-    ``whole``: the components, and the relations between targets.
-    """
+    """All that data say: of every component its heads and the rest, and the ``whole``, with relations of targets."""
 
     components: tuple[Part, ...]
     whole: Arrow
@@ -203,21 +188,19 @@ class Evaluation(NamedTuple):
     That is a triangle (q, c + 1) by the common parameters of the ``split``, and ``heads`` of blocks, by these and by
     their own. Without a split all are common. Columns of J are scaled: they are derivatives for a change of each
     parameter by its scale. Rows are whitened by the sigmas that were given. ``relations`` (k, c + 1): ``[J r]`` of what
-    is known between targets, whitened. ``set_up_motions``: those of the whole set-up that are not measured, the blocks
-    following.
+    is known between targets, whitened.
     """
 
     residuals: tuple[Array, ...]
     triangles: tuple[Array, ...]
     relations: Array
-    set_up_motions: Unmeasured
     heads: tuple[Heads, ...] = ()
     given_split: Split | None = None
 
     @property
     def split(self) -> Split:
         """Which parameters are common, and which are of one block each."""
-        return Split.none(len(self.set_up_motions.holds)) if self.given_split is None else self.given_split
+        return Split.none(self.relations.shape[1] - 1) if self.given_split is None else self.given_split
 
     def reweighted(self, factors: Sequence[float] | Array) -> "Evaluation":
         """Return what it is with sigmas that are new by one factor for every component."""
@@ -237,12 +220,7 @@ class Evaluation(NamedTuple):
     def rows(self) -> Rows:
         """All that the data say: of every component, and of all with the relations."""
         split, parts = self.split, self.alone
-        whole = gathered(split, [own.heads for own in parts], [*self.triangles, self.relations])
-        if not self.set_up_motions.any:
-            return Rows(parts, whole)
-        reduced = whole.reduced(RANK_TOLERANCE)
-        follow, taken = reduced.follow, taken_out(reduced.rest[:, :-1], self.set_up_motions)
-        return Rows(tuple(own.without(follow, taken) for own in parts), whole.without(follow, taken))
+        return Rows(parts, gathered(split, [own.heads for own in parts], [*self.triangles, self.relations]))
 
 
 def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array, given: Split | None = None) -> Evaluation:
@@ -251,7 +229,6 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array, given: Split |
     ``given``: another split than the problem's own.
     """
     split, at = problem.split if given is None else given, problem.machine(x)
-    whole = _set_up_motions(problem, at, split)
     rates = problem.rates(at, scales(problem.parameters), split)
     a, c = split.blocks.shape[1], len(split.common)
     components = list(enumerate(problem.components))
@@ -272,15 +249,12 @@ def evaluate(problem: Problem, sigmas: Sequence[Array], x: Array, given: Split |
             residual, s = block.observed.residual, sigma[block.rows, :, None]
             whitened = problem.whitened(i, block.rows, np.concatenate([block.J, residual[:, :, None]], axis=2) / s)
             left[block.rows] = whitened[:, :, -1] * s[:, :, 0] if problem.together else residual
-            if whole is not None:
-                whole.add(data, block, sigma[block.rows])
             for own, columns in of_set:
                 turned = None if block.own is None else problem.whitened(i, block.rows, block.own / s)[:, columns]
                 own.add(whitened[:, columns], turned, block.block)
         found.append(left)
-    related, set_up_motions = _of_the_whole(problem, rates, at, whole)
     triangles, heads = tuple(own.rest for own in collected), tuple(own.heads for own in collected)
-    return Evaluation(tuple(found), triangles, related, set_up_motions, heads, split)
+    return Evaluation(tuple(found), triangles, _related(problem, rates, at), heads, split)
 
 
 def _folded(
@@ -311,42 +285,15 @@ def _folded(
     return found[:, :, -1], found[:, :, :6], {role: found[:, :, 6 + k] for k, role in enumerate(seen.scalars)}
 
 
-def without_rows(
-    problem: Problem, sigmas: Sequence[Array], x: Array, given: Split | None = None
-) -> tuple[Array, Unmeasured]:
-    """Return the relations (k, c + 1) and set-up motions of an :class:`Evaluation`, which no row is needed for.
-
-    Rows are looked at only where the set-up may move, which they tell how to weigh. All parameters are common, unless
-    a split is ``given``.
-    """
-    at, split = problem.machine(x), Split.none(len(problem.parameters)) if given is None else given
-    whole = _set_up_motions(problem, at, split)
-    rates = problem.rates(at, scales(problem.parameters), split)
-    if whole is not None:
-        for data, sigma in zip(problem.measurements, sigmas, strict=True):
-            for block in rates.blocks(data):
-                whole.add(data, block, sigma[block.rows])
-    return _of_the_whole(problem, rates, at, whole)
-
-
-def _set_up_motions(problem: Problem, at: Machine, split: Split) -> SetUpMotions | None:
-    moving, parameters = problem.motions, [problem.parameters[k] for k in split.common]
-    return None if moving is None else SetUpMotions(parameters, moving, problem.model.robot.reach, at.frames)
-
-
-def _of_the_whole(problem: Problem, rates: Rates, at: Machine, whole: SetUpMotions | None) -> tuple[Array, Unmeasured]:
-    """Return what is known between targets (k, c + 1), and how the whole set-up moves unmeasured."""
-    numbers, J, r = _relations(problem, at)
-    related = np.column_stack([np.tensordot(J, rates.of_targets.twists(numbers), axes=2), r])
-    if whole is None:
-        return related, Unmeasured.none(related.shape[1] - 1)
-    return related, whole.directions(problem.measurements, rates.of_targets, rates.of_scalars, (numbers, J))
-
-
-def related(problem: Problem, x: Array) -> Array:
-    """Return the relations (k, p + 1) of an :class:`Evaluation` at ``x``, all parameters being common."""
+def related(problem: Problem, x: Array, split: Split | None = None) -> Array:
+    """Return the relations (k, c + 1) of an :class:`Evaluation` at ``x``; all parameters are common unless split."""
     at = problem.machine(x)
-    return _of_the_whole(problem, problem.rates(at, scales(problem.parameters)), at, None)[0]
+    return _related(problem, problem.rates(at, scales(problem.parameters), split), at)
+
+
+def _related(problem: Problem, rates: Rates, at: Machine) -> Array:
+    numbers, J, r = _relations(problem, at)
+    return np.column_stack([np.tensordot(J, rates.of_targets(numbers), axes=2), r])
 
 
 def _relations(problem: Problem, at: Machine) -> tuple[list[int], Array, Array]:

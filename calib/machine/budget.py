@@ -36,8 +36,7 @@ from calib.identification.not_seen import likely_widths
 from calib.identification.parameters import Parameter, scales
 from calib.identification.relations import related_targets
 from calib.identification.repeats import Repeats, by_pose
-from calib.identification.system import Problem, without_rows
-from calib.identification.unmeasured import Unmeasured, without
+from calib.identification.system import Problem, related
 from calib.identification.widths import NormalEquations, likelihood, searched
 from calib.machine.systematic import Systematic, usual_waves
 from calib.machine.uncertainty import LeftOut, Waves, WindUp
@@ -110,7 +109,7 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     triangles = [part.reduced.rest for part in parts]
     ends = np.cumsum([0, *map(len, triangles)])
     data = np.concatenate(triangles)
-    solved = _solved(parameters, without_rows(problem, sigmas, x, split), data, free)
+    solved = _solved(parameters, related(problem, x, split), data, free)
     from_data, left = solved.from_data, solved.left
 
     sized = _sized(waves, wind_up)
@@ -328,23 +327,19 @@ class _Solved(NamedTuple):
     from_priors: Array
 
 
-def _solved(parameters: Sequence[Parameter], known: tuple[Array, Unmeasured], data: Array, free: int) -> _Solved:
+def _solved(parameters: Sequence[Parameter], relations: Array, data: Array, free: int) -> _Solved:
     """Return the solution from ``data`` (q, p + m + 1), whitened triangles ``[J B r]`` of all components.
 
-    ``known``: relations and set-up motions. Parameters beyond the first ``free`` ones are held; their errors are those
-    of their priors, and the others follow.
+    ``relations`` (l, p + 1): between targets. Parameters beyond the first ``free`` ones are held; their errors are
+    those of their priors, and the others follow.
     """
     p = len(parameters)
     hold = np.array([parameter.hold for parameter in parameters])
-    relations, set_up_motions = known
-    J = np.concatenate([data[:, :p], relations[:, :p]])
-    if set_up_motions.any:
-        J = without(J, set_up_motions)
-    J, related = J[: len(data)], relations[:, :free]
-    rows = np.concatenate([J[:, :free], related, np.diag(hold[:free])])
+    J, between = data[:, :p], relations[:, :free]
+    rows = np.concatenate([J[:, :free], between, np.diag(hold[:free])])
     U, s, Vt = svd(rows, full_matrices=False)
     follows = np.pad((Vt.T / np.maximum(s, ROUNDING * s[0])) @ U.T, ((0, p - free), (0, 0)))
-    from_data, from_relations, from_priors = np.split(follows, [len(data), len(data) + len(related)], axis=1)
+    from_data, from_relations, from_priors = np.split(follows, [len(data), len(data) + len(between)], axis=1)
     held = np.vstack([from_data[:free] @ J[:, free:], -np.eye(p - free)]) / hold[free:]
     return _Solved(
         J, data[:, p:] - J @ (from_data @ data[:, p:]), from_data, from_relations, np.hstack([from_priors, held])

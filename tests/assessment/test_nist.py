@@ -21,7 +21,6 @@ from calib.identification.arrow import Split
 from calib.identification.parameters import Parameter
 from calib.identification.solver import Solution, solve
 from calib.identification.system import Component, Evaluation
-from calib.identification.unmeasured import Unmeasured
 
 DATA = json.loads((Path(__file__).parent / "nist" / "strd.json").read_text(encoding="utf-8"))
 # Starts are off by more than themselves: the parameter scale is taken to be ten times as large.
@@ -134,7 +133,7 @@ class Curve:
         (r,) = self.residuals(b)
         triangle = linear.triangle(np.hstack([J, r]) / sigmas[0])
         p = len(b)
-        return Evaluation((r,), (triangle,), np.zeros((0, p + 1)), Unmeasured.none(p))
+        return Evaluation((r,), (triangle,), np.zeros((0, p + 1)))
 
 
 def solved(name: str, start: int) -> Solution:

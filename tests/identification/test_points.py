@@ -138,15 +138,6 @@ def test_a_sensor_on_the_arm_that_looks_at_balls(flat: bool) -> None:
     assert told == {"base-unseen"}
 
 
-def test_the_same_balls_touched_do_not_show_a_size() -> None:
-    cell = Cell()
-    rows = cell.sees(np.array([BALLS["a"]] * 20 + [BALLS["b"]] * 20), ["a"] * 20 + ["b"] * 20)
-    touched = {name: column for name, column in rows.items() if not name.startswith("point_")}
-    data = calib.read_measurements(touched, cell.robot, "socket", sigma=SIGMA)
-    model = calib.error_model(cell.robot, offsets="all", placements="all", tool="position")
-    assert {finding.code for finding in rank_findings(model, [data])} == {"base-unseen", "size-unseen"}
-
-
 def test_a_plane_seen_by_a_line_scanner_whose_pose_is_about_known() -> None:
     cell = Cell(2)
     floor = {

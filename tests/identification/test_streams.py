@@ -81,7 +81,7 @@ def test_the_velocity_is_that_against_a_target_on_a_moving_link() -> None:
     made, rng, n = tree(), np.random.default_rng(4), len(tree().names)
     t = np.arange(0.0, 3.0, 0.01)
     q = 0.5 * np.sin(np.multiply.outer(t, rng.uniform(1.0, 3.0, n)) + rng.uniform(0.0, 6.0, n))
-    columns = made.columns(q) | {"time [s]": t, "length [m]": np.full(len(t), 0.7), "target": ["a"] * len(t)}
+    columns = made.columns(q) | {"time [s]": t, "length [m]": 0.7 + 0.1 * t, "target": ["a"] * len(t)}
     plain = calib.read_measurements(columns, made.robot, "distance", sigma=1e-4).named(on={"a": "left_hand"})
     joints = joint_stream(table_from_arrays(made.columns(q) | {"time [s]": t}), made.robot.readings, 0.1)
     scalars = (Scalar("clock.offset", "s", 1e-3, 0.02), Scalar("clock.skew", "s/s", 1e-4))

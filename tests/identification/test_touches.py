@@ -1,4 +1,4 @@
-"""Strains of a machine that touches hardly tell: a smaller machine leaves less of the same noise in what it touches.
+"""Size and proportions of a machine that only touches: a smaller machine leaves less of the same noise.
 
 The truth is that of :mod:`tests.support.touching`, which has none of calib's kinematics.
 """
@@ -13,9 +13,12 @@ from calib.assessment.checks import of_rows
 from calib.assessment.effects import gains
 from calib.assessment.influence import Residue
 from calib.assessment.stretches import stretches
+from calib.foundations import rigid
 from calib.identification.observability import rank_findings
 from calib.identification.relations import Relation
+from calib.machine.tool_uncertainty import link_errors
 from calib.presentation.sheets import rank_sentences
+from calib.robot.conditions import ordinary
 from tests.support import machines
 from tests.support.machines import Array
 from tests.support.touching import UR10, Lab, lab, unit
@@ -51,21 +54,31 @@ def fitted(made: Lab, data: calib.Measurements, relations: Sequence[Relation] = 
     )
 
 
+def off_and_stated(made: Lab, fit: calib.Fit) -> tuple[float, float]:
+    """By how much predicted tool points are off, 3D rms in m beside rigid motions, and how much that is said to be."""
+    q, machine = made.draw(300), calib.assess(fit).machine
+    x = made.where(q)
+    by_doubt = link_errors(machine, q, next(iter(machine.tools)), tool_pose=True, conditions=ordinary(q))[0][:, :3]
+    rigidly = np.linalg.qr(
+        np.concatenate([np.broadcast_to(np.eye(3), (300, 3, 3)), -rigid.skew(x)], axis=2).reshape(900, 6)
+    )[0]
+    both = np.column_stack([(machines.predicted(fit, q)[:, :3, 3] - x).ravel(), by_doubt.reshape(900, -1)])
+    both -= rigidly @ (rigidly.T @ both)
+    return float(np.linalg.norm(both[:, 0]) / np.sqrt(300)), float(np.linalg.norm(both[:, 1:]) / np.sqrt(300))
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("kind", ["sockets", "planes"])
-def test_a_scara_that_only_touches_stays_as_wide_as_it_is(kind: str, seed: int) -> None:
+def test_a_scara_that_only_touches_is_as_wide_as_is_said(kind: str, seed: int) -> None:
     """Its axes are nearly parallel, so that a narrower one touches nearly as well: by 24 mm it was."""
     made = lab(seed, noise=NOISE, arm=SCARA)
     data = sockets(made)[0] if kind == "sockets" else planes(made)
     fit = fitted(made, data)
     assert fit.converged
-    assert made.miss(fit) < 1.5e-3
-    # What is nominal is not as sure as what was measured.
-    assert fit.unidentifiable[[p.name for p in fit.parameters].index("elbow.tx")]
+    off, stated = off_and_stated(made, fit)
+    assert off < 2.0 * stated < 30e-3
     assert calib.assess(fit).trusted
-    # From the nominal machine, off by millimetres, it does not always show.
-    codes = [finding.code for finding in rank_findings(fit.model, [data])]
-    assert codes == ["proportions-unseen"] or (kind == "planes" and not codes)
+    assert [finding.code for finding in rank_findings(fit.model, [data])] == ["proportions-unseen"]
 
 
 @pytest.mark.parametrize("seed", [1, 6])
@@ -75,7 +88,7 @@ def test_one_known_length_tells_how_wide_a_scara_is(seed: int) -> None:
     data, places = sockets(made)
     length = Relation("distance", ("a", "b"), float(np.linalg.norm(places[0] - places[1])), 2e-5)
     fit = fitted(made, data, [length])
-    assert made.miss(fit) < 5e-4
+    assert made.miss(fit) < 1e-3
     residue = Residue.of(fit, {})
     assert of_rows.gear(gains(stretches(residue), residue.C), {}, fit).passed
     assert abs(float(made.machine.tools["tool"][2, 3]) - float(fit.machine.frames.tools[0, 2, 3])) < 0.5
@@ -117,8 +130,7 @@ def test_what_is_not_told_of_touched_targets_is_said() -> None:
     assert "No prediction at poses like these" in " ".join(rank_sentences(fitted(made, made.positions(30))))
 
 
-def test_strains_that_are_well_told_stay_in() -> None:
-    """Of an arm with six joints, but for its size, as without them."""
+def test_of_an_arm_with_six_joints_only_the_size_is_not_told() -> None:
     made = lab(2, noise=NOISE, arm=UR10)
     data, _ = sockets(made)
     fit = fitted(made, data)
