@@ -131,7 +131,7 @@ def _reflected(rows: _Lengths, kind: ParameterKind, at: Machine) -> dict[int, Ar
         if kind == "base":
             base = at.frames.bases[number]
             # Anchors that are in no plane tell the side; a search may have ended on the wrong one all the same.
-            across = _plane(rows.targets[own, :3, 3], np.inf)
+            across = _plane(rows.targets[own, :3, 3], nearest=True)
             along = _plane((rigid.inverse(base) @ rows.tools[own])[:, :3, 3])
             if across is not None and along is not None:
                 found[number] = across @ base @ along
@@ -142,13 +142,13 @@ def _reflected(rows: _Lengths, kind: ParameterKind, at: Machine) -> dict[int, Ar
     return found
 
 
-def _plane(ends: Array, flat: float = _FLAT) -> Array | None:
-    """Return the mirror (4, 4) at the plane that points (n, 3) are in; None where they are in none, or too few."""
+def _plane(ends: Array, *, nearest: bool = False) -> Array | None:
+    """Return the mirror (4, 4) at the plane of points (n, 3), or ``nearest`` to them; None where there is none."""
     middle = ends.mean(axis=0)
     if len(ends) < 3:
         return None
     _, sizes, Vt = svd(triangle(ends - middle))
-    return mirror(Vt[-1], middle) if sizes[-1] <= flat * sizes[-2] else None
+    return mirror(Vt[-1], middle) if nearest or sizes[-1] <= _FLAT * sizes[-2] else None
 
 
 def _by_lengths(rows: _Lengths, kind: ParameterKind, asked: set[int]) -> set[int]:

@@ -20,8 +20,8 @@ from calib.robot.robot import TipModel
 NEGLIGIBLE = 1e-8
 # A part of the arm is clearly off a plane, in m.
 _OFF = 0.01
-# Lengths fit a place as well as another one by up to so much more scatter, beside rounding, in m.
-_AS_WELL, _ROUNDING = 1.5, 1e-9
+# Points that are off a plane by less than that share of how they spread in it tell no side of it.
+_FLAT = 0.02
 # Rows whose arm is looked at together.
 _BLOCK = 5000
 
@@ -143,15 +143,10 @@ def centre(own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
 
 
 def other_side(own: Sequence[tuple[Measurements, Array, Array]], place: Array) -> Array:
-    """Return where a ``place`` (3,) of :func:`centre` is behind the plane of its points, if lengths fit there as well.
-
-    Else the place itself.
-    """
+    """Return where a ``place`` (3,) of :func:`centre` is behind the plane of its points; itself if they are in none."""
     x = np.concatenate([points for _, points, _ in own])
-    length = np.concatenate([value[:, 0] for _, _, value in own])
     middle = x.mean(axis=0)
-    normal = svd(x - middle, full_matrices=True)[2][2]
-    other = place - 2.0 * ((place - middle) @ normal) * normal
-    # An unknown constant of all lengths is not looked at: it is the same on both sides.
-    here, there = (np.std(np.linalg.norm(x - one, axis=1) - length) for one in (place, other))
-    return np.asarray(other if there <= _AS_WELL * here + _ROUNDING else place)
+    _, sizes, axes = svd(x - middle, full_matrices=True)
+    if len(sizes) == 3 and sizes[2] > _FLAT * sizes[1]:
+        return place
+    return np.asarray(place - 2.0 * ((place - middle) @ axes[2]) * axes[2])
