@@ -109,7 +109,8 @@ def inner_constraints(null_basis: Array, parameters: Sequence[Parameter]) -> Arr
     """
     of_robot = np.array([parameter.of_robot for parameter in parameters], dtype=bool)
     U, values, Wt = svd(null_basis * of_robot[:, None])
-    seen = values > 1e-9
+    # One that hardly moves the robot would hold there what the data determine, and stay open itself.
+    seen = values > MOVED
     first = U[:, : len(values)][:, seen].T * of_robot
     # Directions that leave the robot alone.
     rest = (null_basis @ Wt[~seen].T).T

@@ -1,6 +1,7 @@
 """Rank, directions of the null space, and the three policies for them."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -272,3 +273,25 @@ def test_a_minimal_set_of_nothing_is_refused_in_a_sentence(robot: calib.Robot) -
     assert calib.identify(model, data).numerical_rank == 0
     with pytest.raises(IdentificationError, match="determine nothing of what is free"):
         calib.identify(model, data, null_space="minimal")
+
+
+def test_no_parameter_is_better_known_than_if_all_others_were(tmp_path: Path) -> None:
+    """A direction of the null space moved the coefficient by 2e-9, which was then held: its sigma was 1/300."""
+    (tmp_path / "one.urdf").write_text(
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>'
+        '<child link="b"/><origin xyz="0.017 -0.057 0.096" rpy="0.781 -1.8975 1.8761"/><axis xyz="-0.807 0.695 0.09"/>'
+        "</joint></robot>",
+        encoding="utf-8",
+    )
+    robot, rng, N = calib.load_robot(tmp_path / "one.urdf", tip="b"), np.random.default_rng(1), 60
+    readings, celsius = rng.uniform(-2.2, 2.2, (N, 1)), rng.uniform(15.0, 30.0, N)
+    tips = robot.tips(readings)
+    seen = tips[:, :3, :3] @ [0.05, -0.04, 0.09] + tips[:, :3, 3] + rng.normal(0.0, 2e-5, (N, 3)) + [1.0, 2.0, 0.5]
+    table = {"j [rad]": readings[:, 0], "temperature [degC]": celsius}
+    table |= {f"{axis} [m]": seen[:, k] for k, axis in enumerate("xyz")}
+    data = calib.read_measurements(table, robot, sigma=2e-5)
+    fit = calib.identify(calib.error_model(robot, terms={"expansion": "arm"}), data)
+    # All that the coefficient does is to move the joint along the link before it.
+    alone = 2e-5 / (np.linalg.norm([0.017, -0.057, 0.096]) * np.linalg.norm(celsius - 20.0))
+    names = [parameter.name for parameter in fit.parameters]
+    assert alone < fit.sigmas[names.index("arm.expansion")] < 3.0 * alone
