@@ -30,7 +30,7 @@ class Stretch:
     ``columns`` (k,): the fit's parameters by which J is, by number.
     ``by_joint`` (n, d, k): a turn (shift) of each of ``joints``; ``by_base`` (n, d, 6) and ``by_tool`` (n, d, 6): a
     motion of the base and of the tool, in m and rad; ``by_growth`` (n, d): all lengths longer by their whole, of
-    positions alone. ``values`` (n, k): the joints' readings, ``rates`` (n, k): their
+    positions alone. ``values`` (n, k): the joints' readings at which J is, ``rates`` (n, k): their
     change from row to row, or in a second where ``step``, the time in s between rows, is known; else that is nan.
     ``followers`` (f): joints that follow a reading of another by a coupling or as mimic joints, and that reading;
     ``by_follower`` (n, d, f): a turn (shift) of each, ``followed`` (n, f): by how much it follows.
@@ -96,7 +96,8 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
         together = together and together.drawn(rows, np.zeros_like(rows))
         less = _as_it_is if together is None else together.less
         at = Problem(wide, parameters, fit.machine.frames, (part,))
-        moved = [_moved(b.J, *kinds) for b in at.rates(fit.machine, units).blocks(part)]
+        blocks = list(at.rates(fit.machine, units).blocks(part))
+        moved, there = [_moved(b.J, *kinds) for b in blocks], np.concatenate([b.readings for b in blocks])
         by_base, tool, by_offset = (less(np.concatenate(one) / sigma * w) for one in zip(*moved, strict=True))
         mine = replace(residue.problem, measurements=(part,), parameters=judged)
         J, left = np.empty((*part.sigma.shape, len(judged))), np.empty(part.sigma.shape)
@@ -115,11 +116,11 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 by_base,
                 tool,
                 _by_growth(part, left, by_base, fit.machine.frames.bases),
-                part.readings[:, column],
+                there[:, column],
                 rates[rows][:, column],
                 tuple((names[k], readings[i]) for k, i in ties),
                 by_offset[:, :, of_follower],
-                part.readings[:, followed] * multiple[of_follower, followed],
+                there[:, followed] * multiple[of_follower, followed],
                 rows.astype(np.float64),
                 step,
                 poses_of(part, pieces=True),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment.checks import of_rows
+from calib.assessment.checks import of_arm, of_rows
 from calib.assessment.effects import gains
 from calib.assessment.influence import Residue
 from calib.assessment.stretches import stretches
@@ -108,6 +108,22 @@ def test_a_gear_that_is_wrong_is_told_of_an_arm_that_touches_sockets() -> None:
     check = of_rows.gear(gains(stretches(residue), residue.C), {}, fit)
     assert not check.passed
     assert "elbow_joint" in check.sentence
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_much_noise_of_readings_is_no_gear(seed: int) -> None:
+    """Readings at which errors are left say that a joint moves less than it says."""
+    fit = fitted(made := lab(seed, noise=2e-3, arm=SCARA), sockets(made)[0])
+    residue = Residue.of(fit, {})
+    assert of_rows.gear(gains(stretches(residue), residue.C), {}, fit).passed
+
+
+def test_a_size_that_nothing_tells_is_not_told() -> None:
+    """A machine that may grow does so by its own lengths: by the nominal ones all links seemed 100 % shorter."""
+    fit = fitted(made := lab(1, noise=2e-3, arm=UR10), planes(made))
+    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    assert check.passed
+    assert "Nothing tells whether all links are longer" in check.sentence
 
 
 @pytest.mark.parametrize("arm", [SCARA, UR10], ids=["scara", "ur10"])

@@ -141,7 +141,12 @@ def _common_scale(
     rows = Gathered(len(own))
     rows.add(*(part.J for part in parts), known[:, None, own])
     R = rows.triangle
-    values, units, moved = np.column_stack([fit.values, scaled])[own], scales(fit.parameters)[own], moved[own]
+    # By a share of the lengths as they are: of a set-up that may grow unseen, rows do not show that at all.
+    values, units, moved = (
+        np.column_stack([fit.values, scaled + fit.values])[own],
+        scales(fit.parameters)[own],
+        moved[own],
+    )
     longer = values[moved] / units[moved, None]
     x = R[:, moved] @ longer
     every = float(x[:, 1] @ x[:, 1])
@@ -164,7 +169,9 @@ def _common_scale(
     moves = max(moves, float(np.abs(apart[:, 1] * sigmas).max(initial=0.0)))
     both, whole = float(left[:, 0] @ left[:, 1]), float(left[:, 0] @ left[:, 0])
     alike = both**2 / (square * whole) if whole > 0.0 else 0.0
-    return both / square, 1.0 / float(np.sqrt(square)), moves, alike
+    grown = both / square
+    of_nominal = 1.0 - grown if grown < 1.0 else NOTHING
+    return grown / of_nominal, 1.0 / float(np.sqrt(square)) / of_nominal**2, moves, alike
 
 
 def is_stated_scale(parameter: Parameter) -> bool:
