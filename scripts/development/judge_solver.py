@@ -3,12 +3,12 @@
     python scripts/development/judge_solver.py [--cases 1000] [--seed 0] [--only ur5] [--jobs 2]
         [--out judged.csv] [--hold weak]
 
-A session is right where its cost is no higher than the independent one's by more than 1e-6 of it, and the tool at 200
-new poses no farther from the truth by more than 5 %; or where it is refused and its numbers are no more than the formal
-rank. ``--hold``: "stated" judges the sum of squares in which what has no prior is held by a stated width; "weak" judges
-that of the data, for solvers that choose among equal fits in another way. One row a session goes to ``--out``, a
-summary in Markdown to the standard output. Cases are numbered: number 17 of a family is the same session in every run
-with the seed, so that ``--cases 1 --first 17 --only ur5`` repeats it.
+A session is right where its cost is no higher than the independent one's by more than 1e-6 of it (of sockets 1e-4),
+and the tool at 200 new poses no farther from the truth by more than 5 %; or where it is refused and its numbers are
+no more than the formal rank. ``--hold``: "stated" judges the sum of squares in which what has no prior is held by a
+stated width; "weak" judges that of the data, for solvers that choose among equal fits in another way. One row a
+session goes to ``--out``, a summary in Markdown to the standard output. Cases are numbered: number 17 of a family is
+the same session in every run with the seed, so that ``--cases 1 --first 17 --only ur5`` repeats it.
 """
 
 import argparse
