@@ -226,6 +226,7 @@ def test_what_cannot_be_read(folder: Path, name: str, contents: str, sentence: s
         ("a: " + 300_000 * "[", "is nested too deep"),
         (300_000 * "- ", "is nested too deep"),
         ("a: " + 100_000 * "{b: ", "is nested too deep"),
+        (40 * "? ", "has a list or a mapping as a name, which is not read"),
         ("a: &-a [1]\nb: *-a\n", "has anchors and aliases, which are not read"),
     ],
 )

@@ -46,8 +46,8 @@ def written(node: Any) -> Any:
 def trouble(events: Iterable[Any], most: int | None = None) -> str | None:
     """Return what is wrong with YAML, given the events of its parser, as the end of a sentence; None for nothing.
 
-    Wrong are aliases, nesting without end, names that come twice in one mapping, and more than ``most`` values. The
-    events are those of PyYAML or of ruamel.yaml. Raises what their parser raises.
+    Wrong are aliases, nesting without end, names that are no scalars or come twice in one mapping, and more than
+    ``most`` values. The events are those of PyYAML or of ruamel.yaml. Raises what their parser raises.
     """
     # Of every collection that is open: its names so far, None for a list; and whether a name comes next.
     names: list[set[str] | None] = []
@@ -65,7 +65,9 @@ def trouble(events: Iterable[Any], most: int | None = None) -> str | None:
         if kind not in ("ScalarEvent", "MappingStartEvent", "SequenceStartEvent"):
             continue
         if names and (known := names[-1]) is not None:
-            if named[-1] and kind == "ScalarEvent":
+            if named[-1]:
+                if kind != "ScalarEvent":  # names of names of names double with each
+                    return "has a list or a mapping as a name, which is not read"
                 if event.value in known:
                     return f"is no YAML that can be read: it has {shown(event.value)} twice in one object"
                 known.add(event.value)
