@@ -406,10 +406,10 @@ def _behind(
 
     And the values (p,) to which that search has led, where they explain the rows as well. Frames are held as at x0.
     """
-    sigmas = _sigmas(problem, found)
-    start = behind(problem, found.x, sigmas)
+    start = behind(problem, found.x)
     if start is None:
         return problem, found, learned, None
+    sigmas = _sigmas(problem, found)
     end = seek(problem, x0, variances, Near(start, found.variances))
     found = found._replace(evaluations=found.evaluations + end.search.evaluator.count)
     before, after = (_squares(problem, x, sigmas) + _of_stated_places(problem, x, x0) for x in (found.x, end.x))

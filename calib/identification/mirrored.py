@@ -77,14 +77,14 @@ def mirrored(problem: Problem, at: Machine, sigmas: Sequence[Array]) -> BoolArra
     return found
 
 
-def behind(problem: Problem, x: Array, sigmas: Sequence[Array]) -> Array | None:
+def behind(problem: Problem, x: Array) -> Array | None:
     """Return values (p,) with what lengths alone tell on the other side of the planes of their ends, else as x (p,).
 
     These are targets; where all of them are known, bases of arms that move in a plane; where these are known as well,
     tools. None where there are no such planes, or where a tool would be too far from its link to be one.
     """
     at, layout = problem.machine(x), Layout.of(problem.model.robot, problem.reference)
-    rows = _rows(problem, at, sigmas)
+    rows = _rows(problem, at, [data.sigma for data in problem.measurements])
     if rows is None:
         return None
     kinds: tuple[ParameterKind, ...] = ("target", "base", "tool")

@@ -14,11 +14,9 @@ from calib.identification.observations.seen import Linearised, Moved, Seen
 from calib.identification.rows import (
     held_at,
     named,
-    on_links,
     one_or_all,
     row_blocks,
     scalars_of,
-    setups_of,
 )
 from calib.identification.selection import NO_FRAME, Selection
 from calib.identification.stances import Links, Stances, touches
@@ -97,17 +95,10 @@ class Rates:
         for rows in row_blocks(data, number):
             _, first, own = np.unique(number[rows], return_index=True, return_inverse=True)
             at = np.asarray(first + rows.start, dtype=np.intp)
-            setups, tool, target = setups_of(data, at), one_or_all(data.tool[at], data.tools), data.target[at]
-            base, group, told = np.asarray(frames.bases[setups]), setups, data.conditions.subset(at)
-            motion = tip.motion(data.readings[at], told)
-            seats = [
-                (link, on, self._links[link].motion(data.readings[at[on]], told.subset(on)))
-                for link, on in on_links(data, at)
-            ]
-            if seats:
-                group = np.array(setups)
-                for _, on, seat in seats:
-                    base[on], group[on] = rigid.inverse(seat.placement), NO_FRAME
+            tool, target = one_or_all(data.tool[at], data.tools), data.target[at]
+            readings, told = data.readings[at], data.conditions.subset(at)
+            motion = tip.motion(readings, told)
+            base, group, seats = self._stances.observers(data, at, readings, told)
             held = held_at(motion.tip, frames.tools, tool, None, rows)
             tools, targets = rigid.product(base, held), frames.targets[target]
             seen = Seen(data, rows, tools, targets[:0], targets, scalars_of(data, frames))
@@ -119,9 +110,7 @@ class Rates:
                 J[on] += self._through_robot(link, back, seat, held[on], NO_FRAME, NO_FRAME)
             self._complete(J, data, observed, target)
             by_own, block = (None, None) if whose is None else (J[:, :, c:], whose[at])
-            yield Block(
-                rows, data.readings[at], observed, J[:, :, :c], by_own, block, (Moved(observed.tool, tools),), ()
-            )
+            yield Block(rows, readings, observed, J[:, :, :c], by_own, block, (Moved(observed.tool, tools),), ())
 
     def _complete(self, J: Array, data: Measurements, observed: Linearised, target: IntArray) -> None:
         """Add to derivatives (n, d, c + a) what comes through targets (n,) and scalars."""
@@ -133,11 +122,12 @@ class Rates:
     def blocks(self, data: Measurements) -> Iterator[Block]:
         """Yield the rows of one set, block by block; of touches J is that where the tool is at its target."""
         frames, whose, c = self._frames, self.whose(data), self._selection.common
+        of_touches = touches(data)
         for rows in row_blocks(data):
             try:
                 told = data.conditions_at(frames.scalars, rows, moving=self._robot.weights is not None)
                 at = self._stances.at(data, rows, data.readings_at(frames.scalars, rows), told)
-                if touches(data):
+                if of_touches:
                     at = self._stances.at_targets(data, rows, at, told)
             except PoseError as e:
                 raise named(e, data, rows) from e

@@ -112,14 +112,27 @@ class Stances:
     def at(self, data: Measurements, rows: slice, readings: Array, told: Conditions) -> Stance:
         """Return the stance at readings (n, nr) of rows; raises PoseError where a loop does not close."""
         frames, tip, points = self._frames, self._links[data.tip], data.points
-        setups, tool = setups_of(data, rows), one_or_all(data.tool[rows], data.tools)
-        base, group, other_tip, other_tool = np.asarray(frames.bases[setups]), setups, None, None
+        tool, other_tip, other_tool = one_or_all(data.tool[rows], data.tools), None, None
         motion = tip.motion(readings, told)
         if data.other is not None:
             end = data.other
             other_tip = tip.motion(end.readings[rows], end.conditions.subset(rows))
             of_end = one_or_all(end.tool[rows], data.tools)
             other_tool = held_at(other_tip.tip, frames.tools, of_end, end.points, rows)
+        base, group, seats = self.observers(data, rows, readings, told)
+        held = held_at(motion.tip, frames.tools, tool, points, rows)
+        observed, ends = observed_rows(data, rows, frames, base, held, other_tool)
+        return Stance(readings, motion, other_tip, held, other_tool, seats, base, group, observed, ends)
+
+    def observers(
+        self, data: Measurements, rows: slice | IntArray, readings: Array, told: Conditions
+    ) -> tuple[Array, IntArray | int, tuple[tuple[str, IntArray, TipMotion], ...]]:
+        """Return ``base``, ``group`` and ``seats`` of a :class:`Stance` at readings (n, nr) of rows.
+
+        Raises PoseError where a loop does not close.
+        """
+        setups = setups_of(data, rows)
+        base, group = np.asarray(self._frames.bases[setups]), setups
         seats = tuple(
             (link, own, self._links[link].motion(readings[own], told.subset(own))) for link, own in on_links(data, rows)
         )
@@ -127,9 +140,7 @@ class Stances:
             group = np.array(setups)
             for _, own, seat in seats:
                 base[own], group[own] = rigid.inverse(seat.placement), NO_FRAME
-        held = held_at(motion.tip, frames.tools, tool, points, rows)
-        observed, ends = observed_rows(data, rows, frames, base, held, other_tool)
-        return Stance(readings, motion, other_tip, held, other_tool, seats, base, group, observed, ends)
+        return base, group, seats
 
     def at_targets(self, data: Measurements, rows: slice, begin: Stance, told: Conditions) -> Stance:
         """Return the stance near ``begin`` in which the tool is at its target; what is left stays that of ``begin``.
