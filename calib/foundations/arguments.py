@@ -204,7 +204,8 @@ def _is_array_like(hint: Any) -> bool:
 
 def _is_numbers(value: Any) -> bool:
     try:
-        return value is not None and not is_masked(value) and np.asarray(value).dtype.kind in _STANDS_FOR["f"]
+        odd = value is None or is_masked(value) or _has_named_columns(value)
+        return not odd and np.asarray(value).dtype.kind in _STANDS_FOR["f"]
     except (TypeError, ValueError):  # lists of several lengths
         return False
 
@@ -212,6 +213,14 @@ def _is_numbers(value: Any) -> bool:
 def _is_odd(value: object) -> bool:
     """Tell whether an array counts or slices otherwise than others; a matrix keeps two dimensions in all it gives."""
     return is_masked(value) or isinstance(value, np.matrix)
+
+
+def _has_named_columns(value: object) -> bool:
+    """Tell whether a value is a table, as pandas's, with columns that have names.
+
+    An array has no names: taken by place, columns in another order or in degrees would be the wrong numbers in silence.
+    """
+    return any(isinstance(label, str) for label in elements(getattr(value, "columns", None)) or ())
 
 
 def is_masked(value: object) -> bool:
@@ -304,7 +313,7 @@ def told(value: object) -> str:
         return f"{kind} of {value.dtype}"
     if isinstance(value, list | tuple):
         return shortened(f"a {name} of {', '.join(dict.fromkeys(type(one).__name__ for one in value))}")
-    return f"{_article(name)} {name}"
+    return f"{_article(name)} {name}{', whose columns have names' if _has_named_columns(value) else ''}"
 
 
 def _needed(hint: Any) -> list[str]:

@@ -63,7 +63,8 @@ def takes(
         {"array": np.zeros((2, 3), dtype=int)},
         {"rows": np.array([True])},
         {"numbers": [[1, 2], [3, 4]]},
-        {"numbers": pd.DataFrame({"a": [1.0]})},
+        {"numbers": pd.DataFrame([[1.0, 2.0]])},
+        {"numbers": pd.DataFrame({"a": [1.0]})["a"]},
         {"progress": print},
         {"anything": object()},
     ],
@@ -107,6 +108,10 @@ def test_what_fits_is_taken(given: dict[str, Any]) -> None:
         ({"numbers": [[1.0], [1.0, 2.0]]}, "numbers is a list of list; needs an array of numbers or None."),
         ({"numbers": [None]}, "numbers is [None]; needs an array of numbers or None."),
         ({"numbers": "abc"}, "numbers is 'abc'; needs an array of numbers or None."),
+        (  # an array has no names: columns in another order, or in degrees, would be wrong in silence
+            {"numbers": pd.DataFrame({"a": [1.0]})},
+            "numbers is a DataFrame, whose columns have names; needs an array of numbers or None.",
+        ),
         ({"progress": 5}, "progress is 5; needs a function."),
     ],
 )  # fmt: skip
