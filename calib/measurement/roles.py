@@ -429,12 +429,7 @@ def without_names(table: RawTable, count: int, joints: Sequence[int] = (), point
     for those, other in shared:
         if point:
             behind = [k for k in other if k > max(point)]
-            turned = [
-                Orientation(tuple(behind[:size]), form, "matrix" if form == "matrix" else None, frozenset())
-                for size, form in _SIZES.items()
-                if len(behind) >= size
-            ]
-            found.append(Unnamed(those, _point(point[0], point[1], point[2]), tuple(turned)))
+            found.append(Unnamed(those, _point(point[0], point[1], point[2]), _turned_behind(behind)))
         elif not other:
             found += [Unnamed(those, target=k) for k in (None, *filter(names_again, _texts(table)))]
         elif len(other) == 1 and names_again(other[0]):
@@ -448,9 +443,22 @@ def without_names(table: RawTable, count: int, joints: Sequence[int] = (), point
             if _turns(table, nine):
                 matrix = Orientation(nine, "matrix", "matrix", frozenset())
                 found.append(Unnamed(those, _point(other[3], other[7], other[11]), (matrix,)))
+        else:  # a point among other numbers, as what was commanded beside what was measured
+            for k in range(len(other) - 2):
+                if other[k + 2] - other[k] == 2:
+                    found.append(Unnamed(those, _point(*other[k : k + 3]), _turned_behind(other[k + 3 :])))
     if joints and not found:
         found = [Unnamed(shared[0][0])]
     return found
+
+
+def _turned_behind(columns: Sequence[int]) -> tuple[Orientation, ...]:
+    """Return the orientations that the columns behind a point may begin with."""
+    return tuple(
+        Orientation(tuple(columns[:size]), form, "matrix" if form == "matrix" else None, frozenset())
+        for size, form in _SIZES.items()
+        if len(columns) >= size
+    )
 
 
 def _point(x: int, y: int, z: int) -> Point:

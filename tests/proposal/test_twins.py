@@ -49,7 +49,7 @@ def test_an_arm_has_the_readings_that_move_it_also_behind_fingers_that_follow_ot
         assert tuple(reading.name for reading in robot.readings) == arm.joints
 
 
-def test_columns_without_names_are_taken_as_answered(tmp_path: Path) -> None:
+def test_columns_without_names_are_found_by_what_fits_and_taken_as_answered(tmp_path: Path) -> None:
     """As a tracker's points of three reflectors and what a controller logs: no place in the row says what is what."""
     seen = session(UR10, "tool0")
     moved = np.einsum("nij,kj->nki", seen.rotation, [[0.0, 0.1, 0.0], [0.1, 0.0, 0.05]]).reshape(-1, 6)
@@ -57,15 +57,23 @@ def test_columns_without_names_are_taken_as_answered(tmp_path: Path) -> None:
     zeros = np.zeros((40, 6))
     file = tmp_path / "table.csv"
     file.write_text(text(None, [points, zeros, np.degrees(seen.readings)]))
+    (asked,) = calib.measuring.propose(URDF_OF["UR10"], [file]).questions
+    assert asked.about == "position"
+    assert [one.split("=")[1] for one in asked.choices] == ["column 1'", "column 4'", "column 7'"]
+    joints = {f"{name} [deg]": f"column {k}" for k, name in enumerate(UR, 16)}
+    point = dict(zip("xyz", numbered("column {}", 4, 3), strict=True))
+    for answers in ({"x": "column 4"}, joints | point):
+        found = calib.measuring.propose(URDF_OF["UR10"], [file], columns=answers)
+        assert not found.questions, found.questions
+        check(found, Expected(numbered("column {}", 16), "deg", numbered("column {}", 4, 3)))
+
+
+def test_columns_without_names_that_do_not_fit_are_to_be_named(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    file = tmp_path / "table.csv"
+    file.write_text(text(None, [rng.uniform(-90.0, 90.0, (40, 6)), rng.uniform(-900.0, 900.0, (40, 9))]))
     with pytest.raises(calib.MeasurementError, match=r"if some are, say which: --column 'shoulder_pan_joint \[deg\]"):
         calib.measuring.propose(URDF_OF["UR10"], [file])
-    joints = {f"{name} [deg]": f"column {k}" for k, name in enumerate(UR, 16)}
-    (asked,) = calib.measuring.propose(URDF_OF["UR10"], [file], columns=joints).questions
-    assert asked.about == "observes"
-    point = dict(zip("xyz", numbered("column {}", 4, 3), strict=True))
-    found = calib.measuring.propose(URDF_OF["UR10"], [file], columns=joints | point)
-    assert not found.questions, found.questions
-    check(found, Expected(numbered("column {}", 16), "deg", numbered("column {}", 4, 3)))
 
 
 def test_an_orientation_is_found_behind_a_point_that_was_answered(tmp_path: Path) -> None:

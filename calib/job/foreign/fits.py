@@ -153,6 +153,7 @@ def decided(seen: Seen, trials: Sequence[Trial]) -> Trial:
     """Return the only trial that the arm follows, or the one that names prefer among those; or ask."""
     best = trials[0]
     rivals = [t for t in trials if t.fit.share < max(TIMES * best.fit.share, ALIKE)]
+    rivals = _apart(rivals)
     computed = _computed(seen, rivals)
     rivals = [t for t in rivals if t.point.columns not in computed]
     rivals = _of_the_same_joints(seen, _of_one_point(seen, rivals))
@@ -182,6 +183,23 @@ def _computed(seen: Seen, rivals: Sequence[Trial]) -> set[tuple[int, int, int]]:
     for columns in sorted(found):
         seen.reasons.append(f"{seen.titles(columns)} are computed from the joints, by the nominal arm")
     return found
+
+
+def _apart(rivals: Sequence[Trial]) -> list[Trial]:
+    """Return the rivals without those whose point has a column of one that fits far better.
+
+    Where nothing names the columns, y and z of one point and x of the next nearly move as a point.
+    """
+
+    def clearer(t: Trial) -> bool:
+        return any(
+            o.point.columns != t.point.columns
+            and set(o.point.columns) & set(t.point.columns)
+            and TIMES * o.fit.share < t.fit.share
+            for o in rivals
+        )
+
+    return [t for t in rivals if not clearer(t)]
 
 
 def _of_one_point(seen: Seen, rivals: Sequence[Trial]) -> list[Trial]:

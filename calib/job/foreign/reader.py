@@ -48,6 +48,8 @@ def _positions(seen: Seen, picks: Sequence[Pick]) -> Found:
     enough = trials and len(trials[0].rows) >= FEWEST_ROWS
     if enough and trials[0].fit.share < fits.FOLLOWS:
         best = fits.decided(seen, trials)
+    elif not seen.raw.named and len({pick.point for pick in picks}) > 1:
+        raise no_joints(seen)  # columns that nothing names, and no way that fits: which are meant, only a person knows
     else:
         best = fits.by_ranges(seen, trials, picks, bool(enough))
     return _posed(seen, best)
