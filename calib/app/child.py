@@ -28,6 +28,7 @@ with loading():
     from calib.job.read import read_job, read_toml
     from calib.job.schema import named_files
     from calib.measurement.formats.sheet import read_sheet, stacked
+    from calib.measurement.formats.statements import are_in
     from calib.measurement.raw import raw_table, split_title
     from calib.presentation.console import Steps
     from calib.robot.sources import EXAMPLE, mesh_uris
@@ -129,10 +130,11 @@ def _with_meshes(robot: str, meshes: Sequence[str]) -> tuple[str, list[str]]:
 
 def _as_texts(names: Sequence[str]) -> list[str]:
     """Return the tables of text that files are, or that are made of their records, cells or arrays."""
-    own = [Path(name).stem.lower() for name in names if not name.lower().endswith(_TEXT)]
+    texts = {name for name in names if name.lower().endswith(_TEXT) and not are_in(read_bytes(Path(name), JobError))}
+    own = [Path(name).stem.lower() for name in names if name not in texts]
     found = []
     for name in names:
-        if name.lower().endswith(_TEXT):
+        if name in texts:
             found.append(name)
             continue
         # Of poses.json and poses.xlsx neither takes the other's place.

@@ -64,6 +64,7 @@ _OTHERS: dict[Kind, tuple[str, ...]] = {
     "table": (
         *(".csv", ".tsv", ".txt", ".dat", ".asc", ".log"),
         *(".json", ".jsonl", ".ndjson", ".yaml", ".yml", ".xlsx", ".npz"),
+        *(".mod", ".prg", ".src", ".ls", ".script"),
     ),
     "settings": (".toml",),
     "mesh": (".stl", ".dae", ".obj", ".ply", ".off", ".glb"),

@@ -64,7 +64,7 @@ def import_(
     stack: Annotated[str | None, option("--stack", "TITLE", _STACK)] = None,
     robot: Annotated[str | None, option("--robot", "URDF", _ROBOT)] = None,
     topic: Annotated[
-        str | None, option("--topic", "NAME", "Of a recording: the topic, or rigid body, to be read.")
+        str | None, option("--topic", "NAME", "Of a recording: the topic, or rigid body, or kind of lines, to be read.")
     ] = None,
     of_images: OfImages = NO_IMAGES,
     telling: Telling = IN_WORDS,
@@ -106,7 +106,10 @@ def import_(
         refuse_idle("joins two files, and this is one.", {"--by": by})
     sheets = [read_sheet(file, topic) for file in files]
     if not any(sheet.of_part for sheet in sheets):
-        refuse_idle("of a recording, or of a log of rigid bodies, which none of these is.", {"--topic": topic})
+        refuse_idle(
+            "of a recording, a log of rigid bodies, or lines with numbers in brackets, which none of these has.",
+            {"--topic": topic},
+        )
     sheet = sheets[0] if stack is None else stacked(sheets, stack)
     for other in sheets[1:] if stack is None else ():
         sheet = joined(sheet, other, by)

@@ -8,6 +8,7 @@ import string
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import NUMBER, symbol_of
@@ -23,6 +24,9 @@ _NAMES = {"\t": "tabs", ";": "semicolons", "|": "bars", " ": "blanks"}
 _MARKS = re.compile(r"^\s*(?:#|//|%)+\s*")
 # Units that may stand behind a name without brackets; shorter ones are the ends of too many names.
 _SUFFIXES = frozenset(("deg", "rad", "mrad", "mm", "m", "cm", "um", "px", "degc"))
+# What lists of joints are called, of which three are no point.
+_JOINTS = re.compile(r"q(?![a-z])|joint|angle|theta", re.IGNORECASE)
+BRACKETS = MappingProxyType({"]": "[", ")": "(", "}": "{"})
 _APART = "_" + string.whitespace
 # No two parts of one pattern take the same characters: headers may be long, and all blanks.
 _BEHIND = (
@@ -193,6 +197,21 @@ def is_number_of_name(name: str, inside: str) -> bool:
     (True, False, False)
     """
     return inside.strip().isdigit() and name.rstrip() == name
+
+
+def are_whole(cells: Sequence[str]) -> bool:
+    """Return whether what a separator has parted are whole cells: no bracket is left open in one."""
+    return all(cell.count(mark) == cell.count(end) for cell in cells for end, mark in BRACKETS.items())
+
+
+def of_list(name: str, count: int) -> list[str]:
+    """Return titles for a list of numbers: those of a point end with x, y, z; others, and three joints, are numbered.
+
+    >>> of_list("q", 2), of_list("p", 3)
+    (['q_0', 'q_1'], ['p_x', 'p_y', 'p_z'])
+    """
+    ends = "xyz" if count == 3 and not _JOINTS.match(name) else map(str, range(count))
+    return [f"{name}_{end}" for end in ends]
 
 
 def name_and_unit(title: str) -> tuple[str, str | None]:

@@ -1,6 +1,7 @@
 """A table of somebody else as it is: titles, units where they are written, and the numbers of rows spread over it."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,8 +9,9 @@ import numpy as np
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, symbol_of
-from calib.measurement.cells import cells, in_bytes, lines, refuse_ragged
-from calib.measurement.layout import is_number, is_number_of_name, layout, name_and_unit
+from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
+from calib.measurement.formats.statements import are_in
+from calib.measurement.layout import are_whole, is_number, is_number_of_name, layout, name_and_unit
 
 # Enough to tell a unit from another; a table may have a million rows.
 _MOST_ROWS = 400
@@ -56,6 +58,23 @@ class RawTable:
 def raw_table(data: bytes, where: str) -> RawTable:
     """Return a table as it is. Raises MeasurementError when it is no table of text with rows of as many cells."""
     data = in_bytes(data, where)
+    beginning(data, where)  # what is no text says so
+    try:
+        return _whole(data, where)
+    except MeasurementError as e:
+        if are_in(data):
+            raise of_lists(where) from e
+        raise
+
+
+def of_lists(where: str) -> MeasurementError:
+    """Return what to raise for a text whose numbers stand in lists: no table, but one can be made of it."""
+    return MeasurementError(
+        f"{where}: has lists of numbers in brackets; calib import {where} -o table.csv makes a table of them."
+    )
+
+
+def _whole(data: bytes, where: str) -> RawTable:
     form = layout(data, where)
     if len(form.titles) > _MOST_COLUMNS:
         raise MeasurementError(f"{where}:{form.line}: has {len(form.titles)} columns; allowed are {_MOST_COLUMNS}.")
@@ -72,11 +91,18 @@ def raw_table(data: bytes, where: str) -> RawTable:
                 k += 1
     rows = [cells(line.text, form.separator, f"{where}:{line.number}") for line in picked]
     refuse_ragged(rows, len(form.titles), picked, where)
+    if any(_is_torn(words) for words in zip(*rows, strict=True)):
+        raise of_lists(where)
     columns = [
         _column(title, unit, words, form.separator)
         for title, unit, words in zip(form.titles, form.units, zip(*rows, strict=True), strict=True)
     ]
     return RawTable(where, tuple(columns), count, form.remarks, form.named)
+
+
+def _is_torn(words: Sequence[str]) -> bool:
+    """Return whether a separator has parted lists in brackets: each word has one that is left open."""
+    return not any(are_whole([word]) for word in words)
 
 
 def _column(title: str, unit: str, words: tuple[str, ...], separator: str) -> RawColumn:

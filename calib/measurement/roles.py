@@ -149,10 +149,13 @@ def roles(table: RawTable) -> Roles:
     # A matrix with a fourth column has its point; what else looks like one is not sought among its cells.
     spoken.update(k for point in points for k in point.columns)
     spoken.update(k for orientation in orientations for k in orientation.columns)
-    # Joined to joints, a file of points without a header: three columns that have numbers for names.
+    # Joined to joints, a file of points without a header: columns that have numbers for names.
     nameless = [k for k in numeric if len(parts[k]) == 2 and parts[k][0] == "column" and parts[k][1].isdigit()]
-    if len(nameless) == 3 and nameless[2] - nameless[0] == 2:
-        points.append(_point(*nameless))
+    for point, turned in _points_among(nameless) if not points else ():
+        word = frozenset((f"column {point.columns[0]}",))
+        points.append(point._replace(words=word))
+        orientations += [one._replace(words=word) for one in turned]
+    if len(nameless) == 3:
         spoken.update(nameless)
     single = {p[0]: k for k, p in enumerate(parts) if len(p) == 1}
     pixels = (single["u"], single["v"]) if {"u", "v"} <= single.keys() else None
@@ -364,21 +367,29 @@ def joints_by_order(table: RawTable, count: int, known: Roles) -> list[Joints]:
     numeric = [k for k, column in enumerate(table.columns) if column.numbers is not None]
     found, sizes = [], [len(family.columns) for family in _families(parts, numeric)]
     for family in _families(parts, numeric):
+        if any(_changes(table, k) for k in family.columns[count:]):  # else of axes that the arm does not have
+            continue
         axes = {k for point in known.points for k in point.columns} | {
             k for turned in known.orientations if turned.form != "quaternion" for k in turned.columns
         }
         if (
-            len(family.columns) == count
+            len(family.columns) >= count
             and not family.words & (_NO_POSITION | _POSE)
             and not axes & set(family.columns)
             and not (family.words <= _QUATERNION and count == 4 and sizes.count(count) > 1)
         ):
-            found.append(Joints(family.columns, _rank(family.words), "by their numbers", False))
+            found.append(Joints(family.columns[:count], _rank(family.words), "by their numbers", False))
+    found = [one for one in found if any(_changes(table, k) for k in one.columns)] or found
     if not found:
         left = [k for k in numeric if k not in known.spoken and not set(parts[k]) & set("xyz")]
         if len(left) == count and left == list(range(left[0], left[0] + count)):
             found.append(Joints(tuple(left), 1, "by their order, as the only columns left", False))
     return found
+
+
+def _changes(table: RawTable, column: int) -> bool:
+    numbers = table.columns[column].numbers
+    return numbers is None or bool(np.nanmin(numbers) < np.nanmax(numbers))
 
 
 def numbered_columns(table: RawTable) -> list[int]:
@@ -443,13 +454,21 @@ def without_names(table: RawTable, count: int, joints: Sequence[int] = (), point
             if _turns(table, nine):
                 matrix = Orientation(nine, "matrix", "matrix", frozenset())
                 found.append(Unnamed(those, _point(other[3], other[7], other[11]), (matrix,)))
-        else:  # a point among other numbers, as what was commanded beside what was measured
-            for k in range(len(other) - 2):
-                if other[k + 2] - other[k] == 2:
-                    found.append(Unnamed(those, _point(*other[k : k + 3]), _turned_behind(other[k + 3 :])))
+        else:
+            found += [Unnamed(those, point, turned) for point, turned in _points_among(other)]
     if joints and not found:
         found = [Unnamed(shared[0][0])]
     return found
+
+
+def _points_among(columns: Sequence[int]) -> Iterator[tuple[Point, tuple[Orientation, ...]]]:
+    """Yield each three columns side by side as a point, with the orientations that may stand behind it.
+
+    What was commanded may stand beside what was measured, and how far both are apart.
+    """
+    for k in range(len(columns) - 2):
+        if columns[k + 2] - columns[k] == 2:
+            yield _point(columns[k], columns[k + 1], columns[k + 2]), _turned_behind(columns[k + 3 :])
 
 
 def _turned_behind(columns: Sequence[int]) -> tuple[Orientation, ...]:

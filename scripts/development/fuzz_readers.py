@@ -377,6 +377,11 @@ def _sheets() -> list[bytes]:
         b"\2"
         + b"'15':\n  pose: {x: 1, y: 2}\n  joints:\n  - 1\n  - 2\n'16':\n  pose: {x: 1, y: 3}\n  joints: [1, 2]\n",
         b"\4name;x;y\nP1;1,5;2\nP2;1;2\n",
+        b"\4MODULE M\n CONST jointtarget p1:=[[1,-2.5,3],[9E9,9E9]];\n CONST jointtarget p2:=[[1,2,3],[9E9,9E9]];\n",
+        b'\4P[1:"a"]{\n GP1: UF : 0,\n J1= 1.5 deg, J2= 2 deg,\n J3= 3 deg\n};\nP[2]{\n GP1: UF : 0,\n J1= 1 deg, '
+        b"J2= 2 deg,\n J3= 3 deg\n};\n",
+        b"\4q = np.array([[1, 2, 3],\n [2, 3, 4],\n [3, 4, 5]])\n",
+        b'\4n,q,p\n1,"[1, 2, 3]","(1 2 3)"\n2,"[1, 2, 4]","(1 2 3)"\n',
     ]
 
 

@@ -1276,6 +1276,15 @@ def _long_paths(folder: Path, size: int) -> None:
 
 _OTHERS: dict[str, Hostile] = {
     "columns that name rows": Hostile(_naming, ("import", "a.csv", "b.csv", "-o", "c.csv")),
+    "lists in brackets": _records("a.txt", lambda _: "[1,2,3]\n"),
+    "lists in a list": _records("a.txt", lambda _: "[1,2,3],", "[", "[1,2,3]]\n"),
+    "lists that begin": _records("a.txt", lambda _: "[", "[1,2,3]\n" * 2),
+    "lists that end at once": _records("a.txt", lambda _: "[]", "[1,2,3]\n" * 2),
+    "lists of kinds": _records("a.txt", lambda k: f"[{'1,' * (3 + k % 300)}1]\n"),
+    "a long list": _records("a.txt", lambda _: "1,", "[1,2,3]\n[", "1]\n"),
+    "words with lists": _records("a.txt", lambda _: "a1 [1,2,3] b c d\n"),
+    "quotes in lists": _records("a.txt", lambda _: "'[1,2,3]\"", "[1,2,3]\n" * 2),
+    "cells of lists": _records("a.csv", lambda _: "[1 2 3];[4 5 6]\n", "a;b\n"),
     "long paths of meshes": Hostile(_long_paths, ("check", "calibration.toml")),
     "blank lines of kinematics": _kinematics(lambda _: "\n"),
     "blanks of kinematics": _kinematics(lambda _: " "),

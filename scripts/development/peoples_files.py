@@ -23,6 +23,7 @@ LICENCES = {
     "Georgia-Tech-Manufacturing-Institute/multi_robot_calibration": "Apache-2.0",
     "kaidn28/robot-calibration-method": "MIT",
     "Alcatrazee/Robot_calibration": "no licence file",
+    "dongjy-s/LM_PyTorch": "no licence file",
 }
 IPA, PLUS, OLD = "christianlandgraf/ipa-robot-accuracy", "thanhndv212/figaroh-plus", "thanhndv212/figaroh"
 DELFT, LASER = "platonics-delft/kinematics_calibration", "icelinker/Robot-Calibration-LaserTracker"
@@ -69,6 +70,9 @@ FILES = {
     ),
     "no_robot.csv": ("kaidn28/robot-calibration-method", "datasets/regression_gt/dataset_05032022.csv"),
     "angles.txt": ("Alcatrazee/Robot_calibration", "data files/data_points_cali/c_angles.txt"),
+    "rokae_joints.csv": ("dongjy-s/LM_PyTorch", "data/joint_angle.csv"),
+    "rokae_points.csv": ("dongjy-s/LM_PyTorch", "data/laser_pos.csv"),
+    "rokae_dh.csv": ("dongjy-s/LM_PyTorch", "data/dh.csv"),
     "iiwa14.urdf": (DELFT, "urdf/iiwa14.urdf"),
     "gen3lite.urdf": (DELFT, "urdf/gen3lite.urdf"),
     "irb120.urdf": (LASER, "2-Configuration Generation/models/IRB120/model.urdf"),

@@ -642,6 +642,23 @@ def test_published_joints_and_points(folder: Path, joints: str, points: str) -> 
     assert found.tables[0].columns.names["joint_1 [deg]"] == "column 1"
 
 
+@pytest.mark.skipif(not PUBLISHED.is_dir(), reason="CALIB_DATASETS names no folder with peoples_files")
+def test_a_published_program_and_points_beside_those_that_were_meant(folder: Path) -> None:
+    """A ROKAE robot: joint targets in braces; nominal poses, measured poses and their distance, without a header."""
+    units = "alpha [deg], a [mm], d [mm], theta [deg]\n"
+    (folder / "dh.csv").write_text(units + (PUBLISHED / "rokae_dh.csv").read_text().partition("\n")[2])
+    assert run("dh", "dh.csv", "-o", "arm.urdf", "--convention", "modified", "-q") == (0, "", "")
+    (folder / "m.csv").write_text(
+        joined(read_sheet(PUBLISHED / "rokae_joints.csv"), read_sheet(PUBLISHED / "rokae_points.csv")).csv()
+    )
+    (asked,) = calib.measuring.propose("arm.urdf", ["m.csv"]).questions
+    assert asked.choices == ("'x=column 2'", "'x=column 8'")
+    found = calib.measuring.propose("arm.urdf", ["m.csv"], columns={"x": "column 8"})
+    assert not found.questions, found.questions
+    names = found.tables[0].columns.names
+    assert (names["joint_6 [deg]"], names["z [mm]"], names["rz [deg]"]) == ("j_5", "column 10", "column 13")
+
+
 def test_files_of_which_each_is_one_target(folder: Path) -> None:
     """As people record a ball in printed sockets: joint angles alone, a file a socket."""
     for name, rows in (("hole_0", 3), ("hole_1", 2)):

@@ -9,8 +9,9 @@ from calib.job.chains import Chain, behind
 from calib.job.foreign.answers import Pick, ask, run_of
 from calib.job.foreign.seen import Seen
 from calib.measurement import roles
+from calib.measurement.formats.statements import list_of
 from calib.measurement.layout import is_number
-from calib.measurement.raw import RawColumn
+from calib.measurement.raw import RawColumn, of_lists
 
 # Arms that the columns of a table may be of, as far as they are looked at, and the joints of all of them: what a long
 # arm takes to be looked at grows with the third power of its joints.
@@ -177,6 +178,8 @@ def no_joints(seen: Seen) -> Exception:
     """Return what to raise where no column is a joint."""
     for column, wrong in _not_numbers(_of_joints(seen)):
         return _no_number(seen, column, wrong, "joint")
+    if any(list_of(text) for column in seen.raw.columns for text in (column.title, *column.words[:1])):
+        return of_lists(seen.raw.where)
     there = listed([column.title for column in seen.raw.columns])
     if not seen.arms:
         end = "" if seen.answers.tip is None else f" on the way to {seen.answers.tip!r}"

@@ -1,7 +1,6 @@
 """Arrays in NumPy's archive (.npz): one after the other, rows of as many as most of them have."""
 
 import io
-import re
 import sys
 import tokenize
 import zipfile
@@ -14,14 +13,13 @@ import numpy.typing as npt
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
 from calib.foundations.words import counted, listed
+from calib.measurement.layout import of_list
 
 # Of the archive unpacked.
 _LARGEST = 200_000_000
 _MOST_COLUMNS = 1000
 # A megabyte of zeros unpacks to all that is allowed above, and each of them becomes a word.
 _MOST_VALUES = 4_000_000
-# Arrays of joints, whose columns have numbers also where there are three of them.
-_JOINTS = re.compile(r"q(?![a-z])|joint|angle|theta", re.IGNORECASE)
 
 
 def from_npz(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]:
@@ -82,10 +80,10 @@ def _columns(name: str, array: npt.NDArray[np.generic]) -> Iterator[tuple[str, l
     if array.ndim == 1:
         yield name, _cells(array)
     elif array.ndim == 2:
-        is_point = array.shape[1] == 3 and array.dtype.kind == "f" and not _JOINTS.match(name)
-        ends: Sequence[object] = "xyz" if is_point else range(array.shape[1])
-        for k, end in enumerate(ends):
-            yield f"{name}_{end}", _cells(array[:, k])
+        count = array.shape[1]
+        titles = of_list(name, count) if array.dtype.kind == "f" else [f"{name}_{k}" for k in range(count)]
+        for k, title in enumerate(titles):
+            yield title, _cells(array[:, k])
     else:
         for i, j in np.ndindex(array.shape[1], array.shape[2]):
             yield f"{name}_{i}_{j}", _cells(array[:, i, j])

@@ -9,9 +9,9 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.words import counted, listed, shown
-from calib.measurement.cells import cells, in_bytes, lines, refuse_ragged
-from calib.measurement.formats import arrays, logs, records, workbook
-from calib.measurement.layout import is_number, layout, name_and_unit, with_point, with_units
+from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
+from calib.measurement.formats import arrays, logs, records, statements, workbook
+from calib.measurement.layout import are_whole, is_number, layout, name_and_unit, with_point, with_units
 
 _MOST_COLUMNS = 1000
 # Files other than plain tables are held as cells of text: some hundred bytes each.
@@ -72,7 +72,7 @@ def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
     data = read_bytes(path, MeasurementError, _LARGEST)
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        return _not_too_wide(_of_log(data, where, part) or _with_names_of_log(_of_text(data, where)))
+        return _not_too_wide(_of_log(data, where, part) or _of_text(data, where, part))
     titles, rows, said = reader(data, where)
     if not rows or not titles:
         raise MeasurementError(f"{where}: has no rows.")
@@ -105,10 +105,37 @@ def _with_names_of_log(sheet: Sheet) -> Sheet:
     return Sheet(tuple(titles), tuple(map(tuple, rows)), sheet.where, (*sheet.remarks, said))
 
 
-def _of_text(data: bytes, where: str) -> Sheet:
+def _of_text(data: bytes, where: str, part: str | None) -> Sheet:
+    """Return the sheet of a table, or of statements with lists of numbers where a table would tear these apart."""
     data = in_bytes(data, where)
     if data.lstrip().startswith(_XML):
         raise MeasurementError(f"{where}: is XML, and no table.")
+    beginning(data, where)  # what is no text says so
+    if not statements.are_in(data):
+        return _with_names_of_log(_of_table(data, where))
+    refused = sheet = None
+    try:
+        sheet = _of_table(data, where)
+    except MeasurementError as e:
+        refused = e
+    if sheet is not None and _is_whole(sheet):
+        titles, rows, said = statements.expanded(sheet.titles, sheet.rows, where)
+        return _with_names_of_log(Sheet(tuple(titles), tuple(map(tuple, rows)), where, (*sheet.remarks, *said)))
+    found = statements.from_statements(data, where, part)
+    if found is not None:
+        return Sheet(tuple(found[0]), tuple(map(tuple, found[1])), where, found[2], of_part=part is not None)
+    if sheet is None:
+        raise refused or MeasurementError(f"{where}: is no table.")
+    return _with_names_of_log(sheet)
+
+
+def _is_whole(sheet: Sheet) -> bool:
+    """Return whether a table has not torn lists apart, nor taken the first one for its header."""
+    every = (sheet.titles, *sheet.rows)
+    return all(map(are_whole, every)) and not any(map(statements.list_of, sheet.titles))
+
+
+def _of_table(data: bytes, where: str) -> Sheet:
     form = layout(data, where)
     titles = with_units(form.titles, form.units)
     rows: list[tuple[str, ...]] = []

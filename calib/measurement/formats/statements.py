@@ -1,0 +1,335 @@
+"""Lines of logs and of controllers' programs in which numbers stand in brackets: what differs by lines is a column.
+
+    CONST jointtarget p10:=[[0,-30,0,0,30,0],[9E9,9E9,9E9,9E9,9E9,9E9]];
+    DECL E6AXIS XP1={A1 -15.2,A2 -90.0,A3 90.0,A4 0.0,A5 0.0,A6 0.0}
+    [INFO] pose 7: q=[0.1, -1.2, 0.3], x=0.31
+
+No language is known here. A statement goes on until its brackets are closed; statements of one kind have the same marks
+and words, and other numbers and names. Numbers are called as the words before them.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Set as AbstractSet
+from typing import NamedTuple
+
+from calib.foundations.csv_text import text_of
+from calib.foundations.errors import MeasurementError
+from calib.foundations.units import symbol_of
+from calib.foundations.words import counted, shown
+from calib.measurement.layout import BRACKETS, is_number, of_list
+
+# Words, numbers and signs take some hundred bytes each.
+_LARGEST = 5_000_000
+_LOOKED_AT = 100_000  # characters, of a text that may have lists
+# A list has as many numbers as a point; fewer are a number of something, or a range.
+_FEWEST = 3
+# Lists in one pair of brackets are rows, and not the parts of one, if they are as many.
+_FEWEST_ROWS = 3
+_DEEPEST = 16
+_MOST_TOLD = 3
+# What begins a comment in programs and logs: Python's, C's, MATLAB's, RAPID's and KRL's.
+_COMMENTS = ("#", "//", "%", "!", ";")
+# What RAPID writes for an axis that is not there.
+_NO_AXIS = 9e9
+_NUMBER = r"(?<![\w.])[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.])"
+_TOKEN = re.compile(rf"""(?P<text>"[^"\n]*"|'[^'\n]*')|(?P<number>{_NUMBER})|(?P<word>\w+)|(?P<sign>[^\s\w])""")
+
+# Titles, cells and remarks.
+_Rows = tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]
+
+
+class _Token(NamedTuple):
+    kind: str  # "text", "number", "word" or "sign"
+    text: str
+    line: int
+
+
+class _Statement(NamedTuple):
+    tokens: tuple[_Token, ...]
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it goes over several lines."""
+        return self.tokens[0].line < self.tokens[-1].line
+
+    @property
+    def has_list(self) -> bool:
+        """Whether some brackets hold as many numbers as a point."""
+        return _lists(self.tokens) > 0
+
+    def has_word(self, word: str) -> bool:
+        """Whether it has a word, or a text in quotes."""
+        return any(_plain(token.text) == word for token in self.tokens)
+
+    @property
+    def shape(self) -> tuple[str, ...]:
+        """Its signs, and the kinds of all else."""
+        return tuple(token.text if token.kind == "sign" else token.kind for token in self.tokens)
+
+
+def are_in(data: bytes) -> bool:
+    """Return whether a text begins with lists of numbers, two or more."""
+    beginning = data[:_LOOKED_AT].decode("utf-8", errors="replace").replace('"', " ")  # a quoted cell may be a list
+    return _lists(_tokens(beginning, 1)) > 1
+
+
+def _lists(tokens: Iterable[_Token]) -> int:
+    """Return how many brackets have as many numbers as a point, in them and not in others in them."""
+    found, counts = 0, list[int]()
+    for token in tokens:
+        if token.text in BRACKETS.values():
+            counts.append(0)
+        elif token.text in BRACKETS and counts:
+            found += counts.pop() >= _FEWEST
+        elif token.kind == "number" and counts:
+            counts[-1] += 1
+    return found
+
+
+def from_statements(data: bytes, where: str, part: str | None = None) -> _Rows | None:
+    """Return titles, cells and remarks of the statements that have lists; None where there are none.
+
+    ``part``: a word of those that are meant, where there are several kinds. Raises MeasurementError where it is not
+    said, or a bracket is not closed.
+    """
+    text = text_of(data, where, MeasurementError).replace("\r\n", "\n").replace("\r", "\n")
+    if len(text) > _LARGEST:
+        raise MeasurementError(f"{where}: has {len(text)} characters with numbers in brackets; allowed are {_LARGEST}.")
+    statements = list(_statements(text, where))
+    with_lists = [one for one in statements if one.has_list]
+    others = len(statements) - len(with_lists)
+    if part is not None:
+        with_lists = [one for one in with_lists if one.has_word(part)]
+    every = [row for one in with_lists for row in _rows_of(one, len(with_lists) == 1)]
+    if part is not None and len(kinds := _kinds(every)) > 1:
+        every = [row for kind in kinds for row in kind if row.has_word(part)]
+    if not every:
+        if part is not None:
+            raise MeasurementError(f"{where}: no line with numbers in brackets has the word {shown(part)}.")
+        return None
+    kinds = _kinds(every)
+    if len(kinds) > 1:
+        told = "; ".join(f"{counted(len(kind), 'row')} as {_told(kind[0])}" for kind in kinds[:_MOST_TOLD])
+        more = f"; and {len(kinds) - _MOST_TOLD} more kinds" if len(kinds) > _MOST_TOLD else ""
+        raise MeasurementError(
+            f"{where}: has several kinds of lines with numbers in brackets: {told}{more}; say by --topic WORD which "
+            "are meant, a word that the others do not have, or keep only these."
+        )
+    titles, rows = _table(kinds[0])
+    said = [f"{counted(len(rows), 'row')} as {_told(kinds[0][0])}"]
+    said += [counted(others, "other line is passed over", "other lines are passed over")] if others else []
+    return titles, rows, tuple(said)
+
+
+def _told(statement: _Statement) -> str:
+    return f"{shown(' '.join(token.text for token in statement.tokens[:12]))} (line {statement.tokens[0].line})"
+
+
+def expanded(titles: Sequence[str], rows: Sequence[Sequence[str]], where: str) -> _Rows:
+    """Return a table with columns for cells that are lists of numbers; raises MeasurementError for other lengths."""
+    columns: list[tuple[str, Sequence[str]]] = []
+    said = []
+    for title, cells in zip(titles, zip(*rows, strict=True), strict=True):
+        lists = [list_of(cell) for cell in cells]
+        if any(found is None and cell for found, cell in zip(lists, cells, strict=True)) or not any(lists):
+            columns.append((title, cells))
+            continue
+        count, _ = Counter(len(found) for found in lists if found).most_common(1)[0]
+        for number, found in enumerate(lists, start=1):
+            if found and len(found) != count:
+                raise MeasurementError(
+                    f"{where}: row {number} has {len(found)} numbers in {shown(title)}, and others have {count}."
+                )
+        filled = [found or [""] * count for found in lists]
+        columns += zip(of_list(title, count), zip(*filled, strict=True), strict=True)
+        said.append(f"{shown(title)} is a list of {count} numbers in each row")
+    return [title for title, _ in columns], list(zip(*(cells for _, cells in columns), strict=True)), tuple(said)
+
+
+def list_of(cell: str) -> list[str] | None:
+    """Return the numbers of a cell that is a list in brackets, as written; None where it is none.
+
+    >>> list_of("[0.1, -2, 3e-1]"), list_of("(1 2)"), list_of("1, 2"), list_of("[mm]")
+    (['0.1', '-2', '3e-1'], ['1', '2'], None, None)
+    """
+    if not cell or cell[0] not in BRACKETS.values() or cell[-1] not in BRACKETS:
+        return None
+    found = re.split(r"[\s,;\[\](){}]+", cell.strip("[](){} \t"))
+    return found if len(found) > 1 and all(is_number(one, ",") for one in found) else None
+
+
+def _statements(text: str, where: str) -> Iterator[_Statement]:
+    """Yield statements: a line, or as many as it takes to close its brackets."""
+    tokens: list[_Token] = []
+    open_: list[_Token] = []
+    for number, line in enumerate(text.split("\n"), start=1):
+        if line.lstrip().startswith(_COMMENTS):
+            continue
+        for token in _tokens(line, number):
+            tokens.append(token)
+            if token.text in BRACKETS.values():
+                open_.append(token)
+                if len(open_) > _DEEPEST:
+                    raise MeasurementError(f"{where}:{number}: has brackets in more than {_DEEPEST} others.")
+            elif token.text in BRACKETS and open_:
+                open_.pop()
+        if tokens and not open_:
+            yield _Statement(_without_comment(tokens))
+            tokens = []
+    if open_:
+        raise MeasurementError(f"{where}:{open_[0].line}: a bracket {open_[0].text} is opened and not closed.")
+
+
+def _without_comment(tokens: Sequence[_Token]) -> tuple[_Token, ...]:
+    """Return tokens without the comment that a number in brackets may have, as FANUC's ``P[2:"above the part"]``."""
+    texts = [token.text for token in tokens]
+    left = set[int]()
+    for k in range(4, len(tokens)):
+        if tokens[k - 1].kind == "text" and (texts[k - 4], texts[k - 2], texts[k]) == ("[", ":", "]"):
+            left |= {k - 2, k - 1}
+    return tuple(token for k, token in enumerate(tokens) if k not in left)
+
+
+def _plain(text: str) -> str:
+    return text.strip("\"'")
+
+
+def _tokens(text: str, line: int) -> Iterator[_Token]:
+    for match in _TOKEN.finditer(text):
+        yield _Token(match.lastgroup or "", match.group(), line)
+
+
+def _rows_of(statement: _Statement, is_only: bool) -> list[_Statement]:
+    """Return the lists in one pair of brackets that goes over several lines, each a row; else the statement itself.
+
+    They keep the name of what they are in: ``joints = np.array([[...], [...]])``.
+    """
+    if not (is_only or statement.is_long):
+        return [statement]
+    tokens = statement.tokens
+    inside: dict[int, list[tuple[int, int]]] = {}  # brackets by the one that they are in
+    open_: list[int] = []
+    depth: dict[int, int] = {}
+    for k, token in enumerate(tokens):
+        if token.text in BRACKETS.values():
+            depth[k] = len(open_)
+            open_.append(k)
+        elif token.text in BRACKETS and open_:
+            begin = open_.pop()
+            inside.setdefault(open_[-1] if open_ else -1, []).append((begin, k + 1))
+    found = {parent: rows for parent, rows in inside.items() if parent >= 0 and _are_rows(tokens, parent, rows)}
+    if not found:
+        return [statement]
+    top = min(depth[parent] for parent in found)
+    return [
+        _Statement((*_name_before(tokens, parent), *tokens[begin:end]))
+        for parent, rows in sorted(found.items())
+        if depth[parent] == top
+        for begin, end in rows
+    ]
+
+
+def _are_rows(tokens: Sequence[_Token], parent: int, rows: Sequence[tuple[int, int]]) -> bool:
+    """Return whether brackets in others are alike, hold lists, and have nothing but commas between them."""
+    ends = [parent + 1, *(end for _, end in rows)]
+    between = [token.text for end, (begin, _) in zip(ends, rows, strict=False) for token in tokens[end:begin]]
+    parts = [_Statement(tuple(tokens[begin:end])) for begin, end in rows]
+    return (
+        len(rows) >= _FEWEST_ROWS
+        and set(between) <= {",", ";"}
+        and len({part.shape for part in parts}) == 1
+        and parts[0].has_list
+    )
+
+
+def _name_before(tokens: Sequence[_Token], at: int) -> tuple[_Token, ...]:
+    """Return the name to which something is set: what stands before the last equals sign, or colon, before it."""
+    for k in range(at - 1, 0, -1):
+        if tokens[k].text in BRACKETS:
+            break
+        if tokens[k].text in ("=", ":") and tokens[k - 1].kind in ("word", "text"):
+            return (tokens[k - 1],)
+    return ()
+
+
+def _kinds(every: Sequence[_Statement]) -> list[list[_Statement]]:
+    """Return the statements of every kind: of the same shape, and with the same words where these are no names."""
+    shapes: dict[tuple[str, ...], list[_Statement]] = {}
+    for statement in every:
+        shapes.setdefault(statement.shape, []).append(statement)
+    kinds = []
+    for shape, alike in shapes.items():
+        labels = [k for k, kind in enumerate(shape) if kind == "word" and _is_label([s.tokens[k].text for s in alike])]
+        found: dict[tuple[str, ...], list[_Statement]] = {}
+        for statement in alike:
+            found.setdefault(tuple(statement.tokens[k].text for k in labels), []).append(statement)
+        kinds += list(found.values())
+    return kinds
+
+
+def _is_label(words: Sequence[str]) -> bool:
+    """Return whether words tell kinds, as ``actual`` and ``target`` do: they come again, and have no numbers."""
+    return min(Counter(words).values()) > 1 and not any(c.isdigit() for word in set(words) for c in word)
+
+
+def _table(kind: Sequence[_Statement]) -> tuple[list[str], list[list[str]]]:
+    """Return titles and cells of statements of one kind."""
+    cells = {
+        k: [statement.tokens[k].text for statement in kind]
+        for k, token in enumerate(kind[0].tokens)
+        if token.kind != "sign"
+    }
+    constant = {k for k, words in cells.items() if kind[0].tokens[k].kind != "number" and len(set(words)) == 1}
+    titles = _titles(kind[0].tokens, constant)
+    columns = {k: cells[k] for k in titles if not all(map(_is_no_axis, cells[k]))}
+    named = [titles[k] for k in columns]
+    if not any(named):
+        named = [f"column {n + 1}" for n in range(len(columns))]
+    count = Counter[str]()
+    for n, title in enumerate(named):
+        own = title or f"column {n + 1}"
+        count[own] += 1
+        named[n] = own if count[own] == 1 else f"{own} {count[own]}"
+    rows = zip(*columns.values(), strict=True)
+    return named, [list(map(_plain, row)) for row in rows]
+
+
+def _is_no_axis(cell: str) -> bool:
+    return is_number(cell, ",") and float(cell) == _NO_AXIS
+
+
+def _titles(tokens: Sequence[_Token], constant: AbstractSet[int]) -> dict[int, str]:
+    """Return the title of every number, and of every word that is not the same in all rows; "" where nothing says it.
+
+    A word before a number is its title. One before brackets, or in them, is that of all numbers there that have no
+    other; these are numbered.
+    """
+    titles: dict[int, str] = {}
+    lists: list[tuple[str, list[int]]] = []
+    base, at, depth = "", 0, 0  # the last word, the depth of brackets at which it stands, and that of here
+    for k, token in enumerate(tokens):
+        depth += (token.text in BRACKETS.values()) - (token.text in BRACKETS)
+        if token.text in BRACKETS and depth <= at:
+            base = ""
+        if k in constant:
+            word = _plain(token.text)
+            unit = symbol_of(word) if k - 1 in titles else None
+            if unit is not None and titles[k - 1]:
+                titles[k - 1] += f" [{unit}]"
+            elif token.kind == "word" or word:
+                base, at = word, depth
+                lists.append((base, []))
+        elif token.kind in ("word", "text"):
+            titles[k] = "name"
+        elif token.kind == "number":
+            titles[k] = base
+            if base and depth > 0:
+                lists[-1][1].append(k)
+            else:
+                base = ""
+    for word, own in lists:
+        if len(own) > 1:
+            titles.update(zip(own, of_list(word, len(own)), strict=True))
+    return titles

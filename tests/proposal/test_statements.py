@@ -1,0 +1,165 @@
+"""Joints in brackets, as controllers' programs, logs and prints of lists have them, and a tracker's points apart."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib
+from calib.foundations.arrays import Array
+from calib.measurement.formats.sheet import Sheet, read_sheet
+from tests.support.cases import run
+from tests.support.people import UR10, session, text
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def made(folder: Path, contents: str, part: str | None = None) -> Sheet:
+    (folder / "a.txt").write_text(contents)
+    return read_sheet("a.txt", part)
+
+
+def row(values: Array, separator: str = ",") -> str:
+    return separator.join(f"{value:.6f}" for value in values)
+
+
+def rapid(q: Array) -> str:
+    none = ",".join(["9E+09"] * 6)
+    lines = [f"  CONST jointtarget p{k}:=[[{row(one)}],[{none}]];" for k, one in enumerate(q)]
+    return (
+        "MODULE Points\n  ! [[0,0,0],[0,0,0]] is home\n" + "\n".join(lines) + "\n  PROC main()\n  ENDPROC\nENDMODULE\n"
+    )
+
+
+def krl(q: Array) -> str:
+    axes = (",".join(f"A{n} {value:.6f}" for n, value in enumerate(one, start=1)) for one in q)
+    lines = [f"DECL E6AXIS XP{k}={{{one},E1 0.0,E2 0.0}}" for k, one in enumerate(axes)]
+    return "DEFDAT POINTS\n;FOLD {A1 0, A2 0, A3 0}\n" + "\n".join(lines) + "\nENDDAT\n"
+
+
+def fanuc(q: Array) -> str:
+    def point(k: int, one: Array) -> str:
+        parts = [f"J{n}={value:12.6f} deg" for n, value in enumerate(one, start=1)]
+        comment = ':"above (the) part"' if k % 3 == 1 else ""
+        halves = ",\n\t".join((",\t".join(parts[:3]), ",\t".join(parts[3:])))
+        return f"P[{k}{comment}]{{\n   GP1:\n\tUF : 0, UT : 1,\n\t{halves}\n}};\n"
+
+    return "/PROG POINTS\n/MN\n   1:J P[0] 100% FINE ;\n/POS\n" + "".join(map(point, range(len(q)), q)) + "/END\n"
+
+
+def rokae(q: Array) -> str:
+    lines = (f"LOCAL VAR jointtarget j{k} = j:{{{row(one)}\t ,0\t}}\t{{EJ 0,0,0,0,0,0}}" for k, one in enumerate(q))
+    return "\n".join(lines)
+
+
+def script(q: Array) -> str:
+    return (
+        "def program():\n" + "".join(f"  movej([{row(np.radians(one), ', ')}], a=1.4, v=1.05)\n" for one in q) + "end\n"
+    )
+
+
+def log(q: Array) -> str:
+    return "".join(f"[INFO] [17.{k:03d}] pose {k}: q=[{row(np.radians(one), ', ')}]\n" for k, one in enumerate(q))
+
+
+def literal(q: Array) -> str:
+    return "import numpy as np\n\njoints = np.array([\n" + "".join(f"    [{row(one)}],\n" for one in q) + "])\n"
+
+
+def printed(q: Array) -> str:
+    return "joints:\n" + np.array2string(q, threshold=10**6, max_line_width=60) + "\n"
+
+
+def cells(q: Array) -> str:
+    return "nr,joints\n" + "".join(f'{k},"[{row(one, " ")}]"\n' for k, one in enumerate(q))
+
+
+@pytest.mark.parametrize("written", [rapid, krl, fanuc, rokae, script, log, literal, printed, cells])
+def test_joints_in_brackets_and_points_of_a_tracker_become_a_job(folder: Path, written: Callable[[Array], str]) -> None:
+    seen = session()
+    q = np.degrees(seen.readings)
+    (folder / "joints.txt").write_text(written(q))
+    (folder / "points.csv").write_text(text(["X", "Y", "Z"], [1e3 * seen.position]))
+    said = run("check", UR10, "joints.txt")
+    assert said.code == 1
+    assert said.err == (
+        "Error: joints.txt: has lists of numbers in brackets; calib import joints.txt -o table.csv makes a table of "
+        "them.\n"
+    )
+    assert (said := run("import", "joints.txt", "points.csv", "-o", "m.csv")).code == 0, said.err
+    found = calib.measuring.propose(UR10, ["m.csv"])
+    assert not found.questions, found.questions
+    names = found.tables[0].columns.names
+    unit = "rad" if written in (script, log) else "deg"
+    joints = [names[f"{reading.name} [{unit}]"] for reading in found.robot.readings]
+    sheet = read_sheet("m.csv")
+    numbers = np.array([[float(one[sheet.titles.index(title)]) for title in joints] for one in sheet.rows])
+    np.testing.assert_allclose(np.degrees(numbers) if unit == "rad" else numbers, q, atol=1e-4)
+    assert names["x [mm]"] == "X"
+
+
+def test_titles_are_the_words_before_numbers(folder: Path) -> None:
+    sheet = made(
+        folder, "[W] P1: q=[1, -2.5, .3], p=(4, 5, 6) t=7 deg\n[W] P2: q=[1e1, -2.5, 3.], p=(4, 5, 6) t=8 deg\n"
+    )
+    assert sheet.titles == ("name", "q_0", "q_1", "q_2", "p_x", "p_y", "p_z", "t [deg]")
+    assert sheet.rows == (
+        ("P1", "1", "-2.5", ".3", "4", "5", "6", "7"),
+        ("P2", "1e1", "-2.5", "3.", "4", "5", "6", "8"),
+    )
+    assert sheet.remarks == ("2 rows as '[ W ] P1 : q = [ 1 , -2.5 ,' (line 1)",)
+    sheet = made(folder, "begin\nP1 [1, 2, 3]\nP2 [1, 2]\nP3 [1, 2, 3]\n")
+    assert sheet.remarks == ("2 rows as 'P1 [ 1 , 2 , 3 ]' (line 2)", "2 other lines are passed over")
+
+
+def test_what_was_measured_and_what_was_meant_are_two_kinds(folder: Path) -> None:
+    lines = "".join(f"target [1, 2, {k}]\nactual [1.1, 2.1, {k}.1]\n" for k in range(3))
+    with pytest.raises(calib.MeasurementError) as caught:
+        made(folder, lines)
+    assert str(caught.value) == (
+        "a.txt: has several kinds of lines with numbers in brackets: 3 rows as 'target [ 1 , 2 , 0 ]' (line 1); 3 rows "
+        "as 'actual [ 1.1 , 2.1 , 0.1 ]' (line 2); say by --topic WORD which are meant, a word that the others do not "
+        "have, or keep only these."
+    )
+    assert [one[2] for one in made(folder, lines, "actual").rows] == ["0.1", "1.1", "2.1"]
+    assert run("import", "a.txt", "--topic", "actual", "-o", "b.csv").code == 0
+    with pytest.raises(
+        calib.MeasurementError, match=r"^a.txt: no line with numbers in brackets has the word 'other'\.$"
+    ):
+        made(folder, lines, "other")
+
+
+def test_lists_of_a_program_are_told_apart_by_their_names(folder: Path) -> None:
+    program = 'data = {\n"q": [[1, 2, 3, 4], [2, 3, 4, 5], [3, 4, 5, 6]],\n"p": [[1, 2, 3], [4, 5, 6], [7, 8, 9]]}\n'
+    with pytest.raises(calib.MeasurementError, match="several kinds of lines"):
+        made(folder, program)
+    assert made(folder, program, "q").titles == ("q_0", "q_1", "q_2", "q_3")
+    assert made(folder, program, "p").rows[2] == ("7", "8", "9")
+
+
+@pytest.mark.parametrize(
+    ("contents", "says"),
+    [
+        ("a [1, 2, 3]\nb [1, 2, 3\nc [1, 2, 3]\n", "a.txt:2: a bracket [ is opened and not closed."),
+        ("a1 [1, 2, 3]\na2 [1, 2]\na3 [1, 2, 3, 4]\n", "several kinds of lines"),
+        ("a1 [1, 2, 3]\n" + "a2 " + "[" * 17 + "1, 2, 3" + "]" * 17, "a.txt:2: has brackets in more than 16 others."),
+        ("n;q\n1;[1 2 3]\n2;[1 2]\n3;[4 5 6]\n", "a.txt: row 2 has 2 numbers in 'q', and others have 3."),
+    ],
+)
+def test_a_number_that_is_missing_is_said(folder: Path, contents: str, says: str) -> None:
+    with pytest.raises(calib.MeasurementError) as caught:
+        made(folder, contents)
+    assert says in str(caught.value)
+
+
+def test_a_table_with_brackets_in_notes_stays_a_table(folder: Path) -> None:
+    sheet = made(
+        folder, "n,x,note\n1,2.5,in the box (1, 2, 3)\n2,3.5,\n3,4.5,see [4 5 6] of (7 8 9)\n".replace(", ", " ")
+    )
+    assert sheet.titles == ("n", "x", "note")
+    assert sheet.rows[0] == ("1", "2.5", "in the box (1 2 3)")
