@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from tests.support.cases import run
 from tests.support.people import UR10, quaternions, session, text
 
 J = [f"J{k}" for k in range(1, 7)]
+RECORDS = 'allowed is a list of records, as [{"x": 1, "y": 2}, {"x": 3, "y": 4}]'
 PUBLISHED = Path(os.environ.get("CALIB_DATASETS", "")) / "peoples_files"
 
 
@@ -194,10 +196,72 @@ def test_rows_that_a_filter_hides_are_read_and_told(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "of",
+    [
+        lambda names, rows: {name: {str(k): row[j] for k, row in enumerate(rows)} for j, name in enumerate(names)},
+        lambda names, rows: {name: [row[j] for row in rows] for j, name in enumerate(names)},
+        lambda names, rows: {"columns": names, "index": list(range(len(rows))), "data": rows},
+        lambda names, rows: {"columns": names, "data": rows},
+        lambda names, rows: [dict(zip(names, row, strict=True)) for row in rows],
+    ],
+    ids=["columns", "list", "split", "tight", "records"],
+)
+def test_columns_are_read_as_pandas_writes_them(
+    folder: Path, of: Callable[[list[str], list[list[float]]], Any]
+) -> None:
+    """What to_json() writes by itself was read as a row of each column, and lists as one row of all numbers."""
+    names, rows = ["j1 [deg]", "x [mm]"], [[k + 0.5, 10.0 * k] for k in range(20)]
+    (folder / "a.json").write_text(json.dumps(of(names, rows)))
+    found = read_sheet("a.json")
+    assert found.titles == ("j1 [deg]", "x [mm]")
+    assert found.rows == tuple((str(a), str(b)) for a, b in rows)
+
+
+def test_names_of_rows_of_columns_stay(folder: Path) -> None:
+    """A frame of which rows were taken out has gaps in its numbers; one with names has them beside its columns."""
+    (folder / "a.json").write_text('{"x": {"2": 1, "5": 2}, "y": {"2": 3, "5": null}}')
+    assert read_sheet("a.json").titles == ("record", "x", "y")
+    assert read_sheet("a.json").rows == (("2", "1", "3"), ("5", "2", ""))
+    (folder / "b.json").write_text('{"columns": ["x"], "index": ["p", "q"], "data": [[1], [2]]}')
+    assert read_sheet("b.json").rows == (("p", "1"), ("q", "2"))
+
+
+def test_columns_of_arrays_are_read(folder: Path) -> None:
+    q, p = [[float(k), 1.0] for k in range(20)], [[1.0, 2.0, float(k)] for k in range(20)]
+    (folder / "a.json").write_text(json.dumps({"q": q, "p": p}))
+    found = read_sheet("a.json")
+    assert found.titles == ("q_0", "q_1", "p_0", "p_1", "p_2")
+    assert len(found.rows) == 20
+
+
+@pytest.mark.parametrize(
     ("name", "contents", "sentence"),
     [
         ("a.jsonl", "{}\n{", "a.jsonl:2: is not JSON."),
-        ("a.jsonl", "[1]", "a.jsonl: record 1 is no mapping of names to values."),
+        ("a.jsonl", "[1]", f"a.jsonl: record 1 is no mapping of names to values; {RECORDS}."),
+        ("a.json", '[["x", "y"], [1, 2]]', f"a.json: record 1 is no mapping of names to values; {RECORDS}."),
+        (
+            "a.json",
+            '{"0": {"0": 1, "1": 2}, "1": {"0": 3, "1": 4}}',
+            "a.json: numbers are the names of rows and of columns, so that it tells neither; write a list of records "
+            '(in pandas to_json with orient="records").',
+        ),
+        (
+            "a.json",
+            '{"joints": {"j1": [1, 2]}, "points": {"x": [3, 4]}}',
+            f"a.json: 'joints', 'points' have no name in common, and are not rows; {RECORDS}.",
+        ),
+        (
+            "a.json",
+            '{"q": [1, 2, 3, 4, 5, 6], "pose": [1, 2, 3, 4, 5, 6]}',
+            f"a.json: has lists of 6 values, and does not tell whether they are rows or one record; {RECORDS}.",
+        ),
+        ("a.json", '{"columns": ["x", "x"], "data": [[1, 2]]}', "a.json: has two columns of one name."),
+        (
+            "a.json",
+            '{"columns": ["x", "y"], "data": [[1, 2], [3]]}',
+            "a.json: row 2 of 'data' is no list of 2 values, as 'columns'.",
+        ),
         ("a.jsonl", "", "a.jsonl: has no rows."),
         ("a.json", "[" * 100_000, "a.json: is not JSON."),
         ("a.jsonl", '{"a":' * 12 + "1" + "}" * 12, "a.jsonl: is nested too deep."),

@@ -1,22 +1,29 @@
-"""Records as rows: JSON lines, and lists or mappings of records in JSON and YAML. Lists in a record are numbered.
+"""Records as rows: JSON lines, and lists or mappings of records, or of columns, in JSON and YAML.
 
-A ``sensor_msgs/JointState`` is one record: its ``name`` s are titles, its ``position`` s their cells.
+Lists in a record are numbered. A ``sensor_msgs/JointState`` is one record: its ``name`` s are titles, its
+``position`` s their cells.
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from calib.foundations.csv_text import text_of
 from calib.foundations.errors import MeasurementError
 from calib.foundations.json_text import UnreadableError, unique_names, whole_number
-from calib.foundations.words import listed, shown
+from calib.foundations.words import counted, listed, shown
 from calib.measurement.formats.yaml_events import read_yaml, written
+from calib.measurement.layout import is_number
 
 _DEEPEST = 8
 _MOST_CELLS = 5_000_000
 _LONGEST_LIST = 1000
 _OF_JOINTS = ("name", "position", "velocity", "effort")
+# What pandas writes with orient="split".
+_SPLIT = ({"columns", "data"}, {"columns", "index", "data"})
+# A list of no more values may be one vector or one matrix of 4 by 4, as well as a column.
+_LONGEST_VECTOR = 16
+_ALLOWED = 'allowed is a list of records, as [{"x": 1, "y": 2}, {"x": 3, "y": 4}]'
 
 # Titles, cells and remarks.
 _Rows = tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]
@@ -32,8 +39,8 @@ def from_json_lines(data: bytes, where: str) -> _Rows:
 
 
 def from_json(data: bytes, where: str) -> _Rows:
-    """Return titles and cells of a JSON list, or mapping, of records."""
-    return _rows(*_records(_loaded(_text(data, where), where)), where)
+    """Return titles and cells of a JSON list, or mapping, of records, or of columns."""
+    return _rows(*_records(_loaded(_text(data, where), where), where), where)
 
 
 def from_yaml(data: bytes, where: str) -> _Rows:
@@ -44,7 +51,7 @@ def from_yaml(data: bytes, where: str) -> _Rows:
         return [found for node in nodes if node is not None and (found := written(node))]
 
     documents = read_yaml(_text(data, where), where, MeasurementError, documents_of)
-    found, said = _records(documents[0]) if len(documents) == 1 else (documents, ())
+    found, said = _records(documents[0], where) if len(documents) == 1 else (documents, ())
     return _rows(found, said, where)
 
 
@@ -61,27 +68,98 @@ def _loaded(text: str, where: str) -> Any:
         raise MeasurementError(f"{where}: is not JSON.") from e
 
 
-def _records(found: Any) -> tuple[list[Any], tuple[str, ...]]:
-    """Return the records of a list, of a mapping of records, or of the only list in a mapping, and remarks.
+def _records(found: Any, where: str) -> tuple[list[Any], tuple[str, ...]]:
+    """Return the records of a list, of a mapping of records, of the only list in a mapping, or of columns, and remarks.
 
     Those of a mapping have its names in a column: rows of two files are joined by such.
     """
     if isinstance(found, list):
         return found, ()
-    if isinstance(found, Mapping):
-        inside = [
-            key for key, value in found.items() if isinstance(value, list) and value and isinstance(value[0], dict)
-        ]
-        if len(inside) == 1:
-            others = [key for key in found if key != inside[0]]
-            said = (f"{shown(inside[0])} is read, and not {listed(others)}",) if others else ()
-            return list(found[inside[0]]), said
-        if found and all(isinstance(value, Mapping) for value in found.values()):
-            title = "record"
-            while any(title in value for value in found.values()):
-                title += "_"
-            return [{title: key, **value} for key, value in found.items()], ()
-    return [found], ()
+    if not isinstance(found, Mapping):
+        return [found], ()
+    if set(found) in _SPLIT and (split := _of_split(found, where)) is not None:
+        return split, ()
+    inside = [key for key, value in found.items() if isinstance(value, list) and value and isinstance(value[0], dict)]
+    if len(inside) == 1:
+        others = [key for key in found if key != inside[0]]
+        said = (f"{shown(inside[0])} is read, and not {listed(others)}",) if others else ()
+        return list(found[inside[0]]), said
+    if found and all(isinstance(value, Mapping) for value in found.values()):
+        return _of_mappings(found, where), ()
+    return (_of_columns(found, where) or [found]), ()
+
+
+def _of_split(found: Mapping[str, Any], where: str) -> list[Any] | None:
+    """Return the records of rows below titles, as pandas writes them with ``orient="split"``; None where it is none."""
+    titles, rows = found["columns"], found["data"]
+    if not (isinstance(titles, list) and isinstance(rows, list) and _are_words(titles)):
+        return None
+    if len(set(titles)) < len(titles):
+        raise MeasurementError(f"{where}: has two columns of one name.")
+    for number, row in enumerate(rows, start=1):
+        if not isinstance(row, list) or len(row) != len(titles):
+            raise MeasurementError(f"{where}: row {number} of 'data' is no list of {len(titles)} values, as 'columns'.")
+    names = found.get("index")
+    if not isinstance(names, list) or len(names) != len(rows) or _are_numbered(list(map(str, names))):
+        return [dict(zip(titles, row, strict=True)) for row in rows]
+    title = _free_title([dict.fromkeys(titles)])
+    return [{title: name, **dict(zip(titles, row, strict=True))} for name, row in zip(names, rows, strict=True)]
+
+
+def _of_mappings(found: Mapping[str, Mapping[str, Any]], where: str) -> list[Any]:
+    """Return the records of a mapping of records, or of columns, which have numbers for the names of their rows."""
+    inside = dict.fromkeys(name for value in found.values() for name in value)
+    if inside and all(map(_is_numeral, inside)):
+        if all(map(_is_numeral, found)):
+            raise MeasurementError(
+                f"{where}: numbers are the names of rows and of columns, so that it tells neither; write a list of "
+                'records (in pandas to_json with orient="records").'
+            )
+        rows: dict[str, dict[str, Any]] = {name: {} for name in inside}
+        for title, column in found.items():
+            for name, value in column.items():
+                rows[name][title] = value
+        if _are_numbered(list(rows)):
+            return list(rows.values())
+        title = _free_title([found])
+        return [{title: name, **row} for name, row in rows.items()]
+    first = next(iter(found.values()))
+    if len(found) > 1 and not any(name in value for value in list(found.values())[1:] for name in first):
+        raise MeasurementError(f"{where}: {listed(list(found))} have no name in common, and are not rows; {_ALLOWED}.")
+    title = _free_title(found.values())
+    return [{title: key, **value} for key, value in found.items()]
+
+
+def _of_columns(found: Mapping[str, Any], where: str) -> list[Any] | None:
+    """Return the records of columns, lists of one length; None where this is one record that has lists."""
+    counts = {len(value) if isinstance(value, list) else -1 for value in found.values()}
+    names = found.get("name")
+    if len(counts) != 1 or (count := counts.pop()) < 1 or (isinstance(names, list) and "position" in found):
+        return None
+    if count <= _LONGEST_VECTOR:
+        raise MeasurementError(
+            f"{where}: has lists of {counted(count, 'value')}, and does not tell whether they are rows or one record; "
+            f"{_ALLOWED}."
+        )
+    return [{title: column[k] for title, column in found.items()} for k in range(count)]
+
+
+def _is_numeral(name: str) -> bool:
+    return is_number(name, ",")
+
+
+def _are_numbered(names: Sequence[str]) -> bool:
+    """Return whether rows have no names but their numbers, from 0 or 1 on."""
+    return any(all(name == str(k) for k, name in enumerate(names, start)) for start in (0, 1))
+
+
+def _free_title(records: Iterable[Mapping[str, Any]]) -> str:
+    """Return a title for the names of rows that none of their columns has."""
+    taken = {name for record in records for name in record}
+    title = "record"
+    while title in taken:
+        title += "_"
+    return title
 
 
 def _rows(found: Sequence[Any], said: tuple[str, ...], where: str) -> _Rows:
@@ -90,7 +168,7 @@ def _rows(found: Sequence[Any], said: tuple[str, ...], where: str) -> _Rows:
     count = 0
     for number, record in enumerate(found, start=1):
         if not isinstance(record, Mapping):
-            raise MeasurementError(f"{where}: record {number} is no mapping of names to values.")
+            raise MeasurementError(f"{where}: record {number} is no mapping of names to values; {_ALLOWED}.")
         row: dict[str, str] = {}
         for name, cell in _flat(record, "", 0, where):
             if name in row:
