@@ -262,17 +262,19 @@ def _write(place: _Place, files: Mapping[str, bytes | str], older: Collection[st
 def _begun(place: _Place, listed: Collection[str]) -> Iterator[_Work]:
     """Make a hidden folder, which only this user can enter; in the end nothing is left of it."""
     name = hidden(place.name, "calib")
-    os.mkdir(name, 0o700, dir_fd=place.above)
     with contextlib.ExitStack() as closing:
         try:
+            os.mkdir(name, 0o700, dir_fd=place.above)
             handle = closing.enter_context(opened_folder(name, place.above))
-        except OSError:  # a umask leaves not even this user a folder that can be entered
+            if names_in(handle):
+                raise OutputError(f"{place.path}: another folder has taken the place of {name}; try again.")
+            _had(handle, fcntl.LOCK_EX)  # tells others that it is being written
+        except FileExistsError:
+            raise
+        except BaseException:  # Ctrl-C; or a umask leaves not even this user a folder that can be entered
             with contextlib.suppress(OSError):
                 os.rmdir(name, dir_fd=place.above)
             raise
-        if names_in(handle):
-            raise OutputError(f"{place.path}: another folder has taken the place of {name}; try again.")
-        _had(handle, fcntl.LOCK_EX)  # tells others that it is being written
         work = _Work(name, handle, frozenset(listed))
         try:
             create(_LIST, handle, json.dumps({"calib": _MARK, "files": sorted(listed)}).encode())

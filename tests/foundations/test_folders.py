@@ -258,6 +258,30 @@ def test_whatever_goes_wrong_leaves_a_whole_folder(
     assert n > 30
 
 
+@pytest.mark.parametrize("old", [True, False])
+def test_ctrl_c_behind_every_operation_leaves_nothing_beside_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, old: bool
+) -> None:
+    """It is heeded when an operation has been done: a hidden folder that was just made stayed."""
+
+    def pressed() -> None:
+        raise KeyboardInterrupt
+
+    n, happened = 0, [0]
+    while happened:
+        place = tmp_path / str(n)
+        place.mkdir()
+        if old:
+            fill(place / "out", OLD)
+        with monkeypatch.context() as patched, contextlib.suppress(KeyboardInterrupt):
+            happened = at_operation(patched, n, pressed, after=True)
+            write_folder(place / "out", NEW, OURS)
+        assert names(place) in (["out"], [] if not old else ["out"]), n
+        assert not (place / "out").exists() or texts(place / "out") in (OLD, NEW)
+        n += 1
+    assert n > 30
+
+
 def test_an_error_leaves_nothing_of_a_new_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")

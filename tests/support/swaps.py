@@ -44,24 +44,31 @@ def left(folder: Path, *, old: bool = True, new: bool = True, listed: object = O
     return folder
 
 
-def at_operation(patched: pytest.MonkeyPatch, n: int, act: Callable[[], None]) -> list[int]:
-    """Let something happen before the n-th operation from now; the list is empty until it has."""
+def at_operation(patched: pytest.MonkeyPatch, n: int, act: Callable[[], None], *, after: bool = False) -> list[int]:
+    """Let something happen before, or after, the n-th operation from now; the list is empty until it has."""
     happened: list[int] = []
     count = [n]
     within = [False]
 
+    def once() -> None:
+        if not within[0]:
+            count[0] -= 1
+            if count[0] == -1:
+                happened.append(n)
+                within[0] = True
+                try:
+                    act()
+                finally:
+                    within[0] = False
+
     def counted(function: Callable[..., Any]) -> Callable[..., Any]:
         def operate(*arguments: Any, **options: Any) -> Any:
-            if not within[0]:
-                count[0] -= 1
-                if count[0] == -1:
-                    happened.append(n)
-                    within[0] = True
-                    try:
-                        act()
-                    finally:
-                        within[0] = False
-            return None if function is fsync else function(*arguments, **options)
+            if not after:
+                once()
+            done = None if function is fsync else function(*arguments, **options)
+            if after:
+                once()
+            return done
 
         return operate
 
