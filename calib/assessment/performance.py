@@ -30,6 +30,9 @@ from calib.measurement.touches import Touches
 from calib.positioner.pivot import pivot
 from calib.robot.conditions import Conditions
 
+# What is not known of a probe moves touches alike up to this turn of it, in rad: readings scatter by less.
+_TURNED = 1e-2
+
 
 class Tips(Protocol):
     """Where an arm's tip link is."""
@@ -198,21 +201,26 @@ def performance(tips: Tips, tests: Sequence[Touches], probe: Touches | None, gue
     if probe is not None and probe.kind != "cone":
         raise MeasurementError(f"{probe.where}: is a {probe.kind} test; the probe is found from touches of a cone.")
     cones = [test for test in tests if test.kind == "cone"] if probe is None else [probe]
-    point = guess
+    point, unseen, where = guess, np.zeros((3, 0)), ", ".join(cone.where for cone in cones)
     if cones:
         frames = np.concatenate([_placed(tips, cone) for cone in cones])
         # The same name in two tables is not the same cone.
         names = [f"{i} {name}" for i, cone in enumerate(cones) for name in cone.words["target"]]
-        point = _probe(frames, names, guess, ", ".join(cone.where for cone in cones))
+        point, unseen = _probe(frames, names, guess, where)
     found: list[PerformanceFigure] = []
     for test in tests:
         frames = _placed(tips, test)
+        if test not in cones:
+            _refuse_unseen(test, frames[:, :3, :3] @ unseen, where)
         found += _figures_of(test, frames[:, :3, :3] @ point + frames[:, :3, 3])
     return Performance(read_only(point), tuple(found))
 
 
-def _probe(tips: Array, cones: Sequence[str], guess: Array, where: str) -> Array:
-    """Return the probe point, found from touches that leave something to be judged once it and the cones are known."""
+def _probe(tips: Array, cones: Sequence[str], guess: Array, where: str) -> tuple[Array, Array]:
+    """Return the probe point, found from touches that leave something to be judged once it and the cones are known.
+
+    Also the directions (3, k) on the tip link along which they do not tell it, since they do not turn it so.
+    """
     found = pivot(tips, cones, guess=guess)
     unknown = 3 * len(found.targets) + 3
     if 3 * len(tips) <= unknown:
@@ -220,7 +228,25 @@ def _probe(tips: Array, cones: Sequence[str], guess: Array, where: str) -> Array
             f"{where}: {3 * len(tips)} numbers were touched, and the places of cones and probe take {unknown}; touch "
             "more, in many articulations."
         )
-    return found.tool_point
+    return found.tool_point, found.null_basis
+
+
+def _refuse_unseen(test: Touches, unseen: Array, where: str) -> None:
+    """Raise MeasurementError where what is not known of the probe enters the figures of a test.
+
+    ``unseen`` (N, 3, k): its directions at the touches. Where they are the same at all touches that are compared, as
+    those of planar arms are, it moves all of these alike.
+    """
+    moved = [
+        np.ptp(unseen[rows], axis=0)
+        for rows in rows_by_word(test.words["pair" if test.kind == "length" else "target"]).values()
+    ]
+    if moved and float(np.max(moved, initial=0.0)) > _TURNED:
+        raise MeasurementError(
+            f"{where}: the touches of a cone turn the probe about one axis or none, and do not tell where it is along "
+            f"that; the figures of {test.where}, which turns it otherwise, depend on it. Touch the cone at other tilts "
+            "as well."
+        )
 
 
 def _figures_of(test: Touches, points: Array) -> Figures:

@@ -32,6 +32,7 @@ from calib.positioner.pivot import pivot
 from calib.presentation.command_tables import performance_sheet
 from calib.presentation.tables import plain, sheet_table
 from calib.results.folder import write_results
+from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.terms import JointTerm
 
 Array = NDArray[np.float64]
@@ -202,6 +203,45 @@ def test_touches_that_only_find_the_probe_judge_nothing(robot: calib.Robot) -> N
     said = "arrays: 6 numbers were touched, and the places of cones and probe take 6; touch more"
     with pytest.raises(MeasurementError, match=said):
         performance(robot.tips, [two], None, np.zeros(3))
+
+
+@pytest.mark.parametrize("tilts", [False, True])
+def test_a_probe_that_was_never_tilted_judges_none_that_is(tilts: bool) -> None:
+    """Nothing tells where it is along the axis of its turns: lengths were 80 mm off, of a machine without any error.
+
+    Where all touches turn it about that axis alone, as those of a planar arm do, it does not matter.
+    """
+    ball, rng = np.array([0.02, 0.0, 0.08]), np.random.default_rng(0)
+
+    def tips(readings: Array, /, *, conditions: Conditions) -> Array:
+        T = np.tile(np.eye(4), (len(readings), 1, 1))
+        T[:, :3, :3] = Rotation.from_euler("ZY", readings[:, :2]).as_matrix()
+        T[:, :3, 3] = readings[:, 2:]
+        return T
+
+    def touching(points: Array, turns: Array) -> Array:
+        at = tips(np.concatenate([turns, points], axis=1), conditions=NO_CONDITIONS)
+        return np.concatenate([turns, points - at[:, :3, :3] @ ball], axis=1)
+
+    turns = np.stack([np.linspace(-2.0, 2.0, 8), np.zeros(8)], axis=1)
+    cone = touching(np.full((8, 3), 0.3), turns)
+    ends = rng.uniform(-0.5, 0.5, (8, 3))
+    known = np.repeat(np.linalg.norm(ends[::2] - ends[1::2], axis=1), 2)
+    apart = touching(ends, turns + ([0.0, 1.0] * rng.uniform(-1.0, 1.0, (8, 2)) if tilts else 0.0))
+    pairs = {"target": ("a", "b") * 4, "pair": tuple(f"p{k // 2}" for k in range(8))}
+    tests = [
+        Touches("cone", cone, {"target": ("c",) * 8}, {}, "cone.csv", np.arange(8)),
+        Touches("length", apart, pairs, {"length": known}, "lengths.csv", np.arange(8)),
+    ]
+    if tilts:
+        with pytest.raises(
+            MeasurementError, match=r"cone.csv: .* the figures of lengths.csv, which turns it otherwise"
+        ):
+            performance(tips, tests, None, np.zeros(3))
+    else:
+        found = performance(tips, tests, None, np.zeros(3))
+        assert max(abs(figure.value) for figure in found.figures) < 1e-12
+        assert found.probe == pytest.approx([0.02, 0.0, 0.0], abs=1e-12)
 
 
 def test_very_many_cones_and_spheres_are_refused(robot: calib.Robot) -> None:
