@@ -8,7 +8,7 @@ are across. The joint's readings are asked for its sense alone, so that what the
 Source: circle point analysis, B. Mooring, Z. Roth, M. Driels, *Fundamentals of Manipulator Calibration*, 1991, ch. 4.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -388,6 +388,8 @@ def _checked(
     names = [None] * len(x) if marks is None else list(marks)
     if len(names) != len(x):
         raise MeasurementError(f"there are {len(x)} points and {len(names)} marks.")
+    if not all(isinstance(name, Hashable) for name in names):
+        raise MeasurementError("the marks of a sweep must be names or numbers, one for every point.")
     number = {name: k for k, name in enumerate(dict.fromkeys(names))}
     refuse_sigma(sigma, "sigma")
     each = f"the readings of a sweep must be {len(x)} finite numbers, one for every point."

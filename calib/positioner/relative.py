@@ -22,6 +22,8 @@ from calib.foundations.ranges import are_numbers, finite, refuse_sigma
 
 # Points on a line leave a turn about it open; a width below this share of their length is rounding.
 _LINE = 1e-7
+# Points that are no farther apart, in m, are one.
+_APART = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +76,7 @@ def relative_base(
     refuse_sigma(sigma_b, "sigma_b")
     centre_a, centre_b = a.mean(axis=0), b.mean(axis=0)
     spread = [np.linalg.svd(points, compute_uv=False) for points in (a - centre_a, b - centre_b)]
-    if len(a) < 3 or any(not values[1] > _LINE * values[0] for values in spread):
+    if len(a) < 3 or any(not values[1] > max(_LINE * values[0], _APART) for values in spread):
         raise IdentificationError(
             f"the {len(a)} points lie on a line, and how the bases are turned about it cannot be told; "
             "touch three points or more that do not."

@@ -198,3 +198,5 @@ def test_what_is_not_swept_or_not_determined_is_refused() -> None:
         circle_axis([[0.0, 1.0, np.nan]])
     with pytest.raises(calib.MeasurementError, match="4 points and 2 marks"):
         circle_axis(line, marks=["a", "b"])
+    with pytest.raises(calib.MeasurementError, match="marks of a sweep must be names or numbers"):
+        circle_axis(line, marks=[[1]] * 4)

@@ -160,5 +160,8 @@ def test_points_that_tell_too_little_are_refused() -> None:
         relative_base(line, line)
     with pytest.raises(calib.IdentificationError, match="touch three points or more"):
         relative_base(line[:2], line[:2])
+    corners = np.eye(3)
+    with pytest.raises(calib.IdentificationError, match="3 points lie on a line"):
+        relative_base(corners, 1e-300 * corners)  # a singular matrix
     with pytest.raises(calib.MeasurementError, match=r"they are \(5, 3\), \(4, 3\)"):
         relative_base(line, line[:4])
