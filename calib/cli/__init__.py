@@ -38,9 +38,10 @@ def main() -> None:
     except KeyboardInterrupt:  # while typer makes the command of its options
         _say("interrupted.")
         sys.exit(INTERRUPTED)
-    except (MemoryError, ImportError) as error:
-        # A library for which there is no room cannot be loaded.
-        if isinstance(error, ImportError) and "failed to map segment" not in str(error):
+    except (MemoryError, ImportError, SystemError) as error:
+        # A library for which there is no room cannot be loaded, and Python itself may lose the MemoryError on its way.
+        lost = ("failed to map segment", "without setting an exception")
+        if not isinstance(error, MemoryError) and not any(words in str(error) for words in lost):
             raise
         sys.stderr.write(f"Error: {LITTLE_MEMORY}\n")
         sys.exit(BAD_INPUT)

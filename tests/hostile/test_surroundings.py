@@ -35,7 +35,12 @@ def test_a_folder_that_is_gone_is_one_sentence(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "met", ["MemoryError()", "ImportError('lapack.so: failed to map segment from shared object', name='lapack')"]
+    "met",
+    [
+        "MemoryError()",
+        "ImportError('lapack.so: failed to map segment from shared object', name='lapack')",
+        "SystemError('<function calibrate> returned NULL without setting an exception')",
+    ],
 )
 def test_too_little_memory_is_one_sentence(met: str, tmp_path: Path) -> None:
     fails = f"import calib.robot.load as load\ndef fails(*_, **__): raise {met}\nload.load_robot = fails\n"
