@@ -4,7 +4,8 @@ A few rows that lie far off, and a length that is stated wrong, bend a whole fit
 a target that moved, and checks that are made for those say so. So a fit that is doubted is tried once with such rows
 passed over, by a robust loss, and once with lengths that are stated free, each of its own. A cause is named where it
 brings the scatter to half or less, and all checks of what else may be wrong then pass; of several, that which leaves
-least. Rows that lie far off, all by one motion of base, tool or a joint, are no such rows: something moved.
+least. Rows that lie far off, all by one motion of base, tool or a joint, are no such rows: something moved. A row that
+is held out may be one as well: it bends nothing, but what is left of all held out is then nearly its own.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,6 +27,7 @@ from calib.foundations.units import MM
 from calib.foundations.words import noun
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near, residuals_of
+from calib.identification.losses import Loss
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.measurement.scalars import Scalar
@@ -79,37 +81,51 @@ def _judged(fit: Fit, sets: Sequence[JudgedSet], tables: Sequence[Measurements])
 
 
 def _passed_over(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
-    """Return what is left if rows that lie far off are passed over."""
-    if any(loss != "linear" for loss in fit.losses):
-        return None
+    """Return what is left if rows that lie far off are passed over: of the fit by a robust loss, of others as they are.
+
+    A fit by a robust loss passes over its own already.
+    """
+    robust = any(loss != "linear" for loss in fit.losses)
     try:
-        found = identify_near(fit, fit.model, fit.measurements, losses=["cauchy"] * len(fit.measurements))
-        judged = _judged(found, sets, [one.data for one in sets])
+        found = fit if robust else _by_loss(fit)
+        judged = list(_judged(found, sets, [one.data for one in sets]))
     except CalibError:
         return None
     if not found.converged:
         return None
-    parts = stretches(Residue.of(found, {}))
-    told, left = [], []
-    own = [one for one in judged if one.use == "identification"]
-    for one, r, data in zip(own, fit.residuals, found.measurements, strict=True):
-        scale = _scales(one)
-        now, before = ((x / scale) ** 2 for x in (one.after, r))
-        far = np.any(
-            [
-                np.sum(now[:, q.columns], axis=1) > FAR**2 * (q.columns.stop - q.columns.start)
-                for q in QUANTITIES[one.data.kind]
-            ],
-            axis=0,
-        )
-        share = float(np.sum(now[~far])) / max(float(np.sum(before)), 1e-300)
-        if not far.any() or share > LEAST_LEFT**2 or np.mean(far) > MANY:
+    parts, told, left = stretches(Residue.of(found, {})), [], []
+    own = dict(zip((k for k, one in enumerate(sets) if one.use == "identification"), found.measurements, strict=True))
+    for k, (one, doubted) in enumerate(zip(tuple(judged), sets, strict=True)):
+        scale, rest = _scales(one), one
+        far = _far(one, scale)
+        if not far.any() or np.mean(far) > MANY or (robust and k in own):
             continue
-        if any(part.data is data and _are_one_motion(part, far) for part in parts):
+        if k not in own:  # targets that are found from held-out rows are elsewhere without these
+            (rest,) = _judged(found, [one], [one.data.subset(np.flatnonzero(~far))])
+        now = rest.after[~far] if k in own else rest.after
+        share = float(np.sum((now / scale) ** 2)) / max(float(np.sum((doubted.after / scale) ** 2)), 1e-300)
+        if share > LEAST_LEFT**2:
             continue
+        if any(part.data is own.get(k) and _are_one_motion(part, far) for part in parts):
+            continue
+        judged[k] = rest
         told.append(_rows_said(one, far, share))
         left.append(share)
-    return Cause(" ".join(told), found, judged, min(left)) if told else None
+    return Cause(" ".join(told), found, tuple(judged), min(left)) if told else None
+
+
+def _by_loss(fit: Fit) -> Fit:
+    """Return the fit by a robust loss."""
+    model = fit.model.within(fit.measurements)
+    losses: list[Loss] = ["cauchy"] * len(fit.measurements)
+    return replace(identify_near(fit, model, fit.measurements, losses=losses), model=fit.model)
+
+
+def _far(one: JudgedSet, scale: Array) -> BoolArray:
+    """Return which rows (N,) of a table lie far off, for standard deviations (d,) of its numbers."""
+    squares = (one.after / scale) ** 2
+    sizes = [(q.columns, q.columns.stop - q.columns.start) for q in QUANTITIES[one.data.kind]]
+    return np.asarray(np.any([np.sum(squares[:, own], axis=1) > FAR**2 * d for own, d in sizes], axis=0))
 
 
 def _are_one_motion(part: Stretch, far: BoolArray) -> bool:
@@ -143,10 +159,12 @@ def _rows_said(one: JudgedSet, far: BoolArray, share: float) -> str:
     lines = ", ".join(str(line) for line in sorted(one.data.lines[worst].tolist()))
     many = int(far.sum())
     which = f"{noun(many, 'row')} {lines}" if many <= _LISTED else f"{many} rows, {lines} the farthest,"
+    it, lie = ("it", "lies") if many == 1 else ("them", "lie")
+    # What is held out takes no part in a fit, whatever the loss.
+    robustly = ', and let such rows weigh little: loss = "cauchy"' if one.use == "identification" else ""
     return (
-        f"{one.file}: {which} {'lies' if many == 1 else 'lie'} far from the rest, and without "
-        f"{'it' if many == 1 else 'them'} what is left scatters {1.0 / np.sqrt(share):.2g} times less: look at "
-        f'{"it" if many == 1 else "them"}, and let such rows weigh little: loss = "cauchy".'
+        f"{one.file}: {which} {lie} far from the rest, and without {it} what is left scatters "
+        f"{1.0 / np.sqrt(share):.2g} times less: look at {it}{robustly}."
     )
 
 
@@ -163,7 +181,7 @@ def _other_lengths(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
     losses = [loss for parts, loss in zip(split, fit.losses, strict=True) for _ in parts]
     every = [(one, data) for one in sets for data, _ in _freed(one.data)]
     try:
-        found = identify(fit.model, tables, losses=losses)
+        found = replace(identify(fit.model.within(tables), tables, losses=losses), model=fit.model)
         judged = _judged(found, [one for one, _ in every], [data for _, data in every])
     except CalibError:
         return None

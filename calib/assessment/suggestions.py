@@ -6,6 +6,7 @@ rows of the fit, and is named only where it makes errors of the rows held out sm
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from calib.assessment.gain import gain
 from calib.assessment.judged import JudgedSet
@@ -84,7 +85,8 @@ def _with(fit: Fit, kind: Kind, held_out: Sequence[Measurements]) -> tuple[Array
         if not offered:
             return None
         model = with_terms(fit.model, (*robot.terms, *offered))
-        found = identify_near(fit, model, fit.measurements, losses=fit.losses)
+        found = identify_near(fit, model.within(fit.measurements), fit.measurements, losses=fit.losses)
+        found = replace(found, model=model)
         return residuals_of(found, held_out, found.machine) if found.converged else None
     except CalibError:  # as where the URDF states no masses
         return None

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.identification.losses import Loss
 from tests.support import machines
 from tests.support.touching import lab
 
@@ -59,6 +60,28 @@ def test_a_base_that_moved_is_no_rows_that_lie_far_off() -> None:
     least, _ = table(moved)
     assert told(least) == ""
     assert any("after this row the base seems to have changed" in doubt for doubt in least.doubts)
+
+
+def test_a_held_out_row_that_lies_far_off_is_named() -> None:
+    """It takes no part in the fit: what else seemed wrong then, was of the rest of its table."""
+    of = lab(5, noise=2e-5)
+    data = replace(of.sockets(30), sigma=np.full((90, 3), 2e-5))
+    own, held_out = calib.hold_out(data, places=["c"])
+    readings = held_out.readings.copy()
+    readings[4] = own.readings[5]  # its label is that of another socket
+    known = calib.Known(base=np.eye(4), targets=of.known("a", "b", "c"))
+    model = calib.error_model(of.robot, offsets="all", placements="all", base="fixed", known=known)
+    wrong = replace(own, target=np.where(np.arange(len(own)) == 3, 1 - own.target, own.target))
+    cases: list[tuple[calib.Measurements, Loss]] = [(own, "linear"), (wrong, "linear"), (own, "huber")]
+    for spoilt, loss in cases:
+        fit = calib.identify(model.within([own]), spoilt, losses=[loss])
+        found = calib.assess(replace(fit, model=model), replace(held_out, readings=readings))  # as of a job
+        sentences = told(found).split(": ")
+        assert f"row {held_out.lines[4]} lies far from the rest" in sentences[-2]
+        assert sentences[-1] == "look at it."  # no loss passes over what no fit takes
+        assert ("loss" in told(found)) == (spoilt is wrong)
+        # Two sockets do not tell by how much the arm is turned about the line between them, which the third one asks.
+        assert all("would without that" in doubt or "as large as predicted" in doubt for doubt in found.doubts[1:])
 
 
 def test_a_sound_table_asks_for_no_cause() -> None:
