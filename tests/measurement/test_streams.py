@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 import calib
 from calib.foundations.arrays import Array
@@ -453,3 +454,30 @@ def test_clocks_are_not_sought_in_days(made: Streams) -> None:
 @pytest.mark.parametrize("step", [1e-4, 1.0])
 def test_a_step_that_is_just_allowed_is_not_refused_by_its_rounding(step: float) -> None:
     refuse_no_stream(1e5 + step * np.arange(200), "arrays")
+
+
+def test_a_tip_on_the_axis_of_its_joint_shows_the_clock_by_what_it_carries() -> None:
+    """The tip of a turntable stands still, and that of one that tilts moves little of what it carries."""
+    rng = np.random.default_rng(4)
+    t = np.arange(0.0, 60.0, 0.05)
+    waves = rng.uniform(0.3, 1.4, (2, 4)), rng.uniform(0.0, 6.0, (2, 4))
+
+    def readings(u: Array) -> Array:
+        return np.stack([np.sin(f * u[:, None] + phase).sum(axis=1) for f, phase in zip(*waves, strict=True)], axis=1)
+
+    for tilts in (0.0, 0.2):
+
+        def tips(u: Array, tilts: float = tilts) -> Array:
+            tilt, turn = (readings(u) * [tilts, 0.5]).T
+            T = np.tile(np.eye(4), (len(u), 1, 1))
+            T[:, :3, :3] = Rotation.from_euler("XZ", np.stack([tilt, turn], axis=1)).as_matrix()
+            T[:, :3, 3] = T[:, :3, 2] * 0.15
+            return T
+
+        u = t + 0.3
+        points = tips(u)[:, :3, 3] + tips(u)[:, :3, :3] @ (0.12, -0.05, 0.04) + rng.normal(0.0, 2e-5, (len(t), 3))
+        seen = lags.Seen(t + 7.0, points, "seen", np.zeros(len(t), dtype=np.intp))
+        moved = lags.Moved(tips, lambda at: (at >= 0.0) & (at <= 60.0), 0.0, 60.0, "moved")
+        found = lags.clock_lag(seen, moved, 37.0, 0.1)
+        assert found.offset == pytest.approx(6.7, abs=1e-3)
+        assert abs(found.skew) < 1e-4

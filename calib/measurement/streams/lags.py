@@ -1,10 +1,10 @@
 """By how much two clocks differ, from the speeds that they saw, without a guess.
 
 The arm moves now faster and now slower, and does so by both clocks. In windows of about a minute the measured speed is
-correlated with that of the nominal tip; each window has the lag where the correlation is largest, and a line through
-the lags has the offset and the skew of the clocks. Where several lags correlate alike, as of an arm that goes and stops
-in turn, positions decide. One correlation over an hour would fail: at a skew of 1e-3 its ends
-are 3.6 s apart.
+correlated with that of the nominal tip, and with that of what it carries; each window has the lag where the correlation
+is largest, and a line through the lags has the offset and the skew of the clocks. Where several lags correlate alike,
+as of an arm that goes and stops in turn, positions decide. One correlation over an hour would fail: at a skew of 1e-3
+its ends are 3.6 s apart.
 
 From there starts within a second are tried, and the best is refined. A measured point p follows from the nominal tip
 (R, x) by ``p = A x + B vec(R) + c`` whatever base and tool are: linear in 13 numbers a coordinate, so that each start
@@ -32,6 +32,8 @@ MOST_SKEW = 5e-3
 _ON_LINE = 0.05
 # Speeds that go together correlate so much at least; another lag that correlates nearly as well makes both doubtful.
 _TOGETHER, _AS_WELL, _APART = 0.5, 0.9, 1.0
+# How far a tool may be beside its tip, in m.
+_BESIDE = 0.1
 # What is slower, in m/s, is at rest.
 _SLOWEST = 2e-3
 # Of a window so much must be known by both clocks. Stretches between pauses that are shorter, in s, follow any motion
@@ -88,6 +90,14 @@ class Moved(NamedTuple):
     where: str
 
 
+class _Speeds(NamedTuple):
+    """Speeds (n,) in m/s on a grid that begins at ``start``, and where they are known (n,)."""
+
+    start: float
+    values: Array
+    known: BoolArray
+
+
 def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
     """Return how the instrument's clock lags behind the controller's, by the motion that both saw.
 
@@ -113,20 +123,10 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
             f"{seen.where}: its rows are {step:.4g} s apart, and gaps from {gap:.4g} s on are not bridged; allow "
             "longer gaps, or measure more often."
         )
-    grid = np.arange(moved.start, moved.end, _STEP)
-    known = moved.known(grid)
-    places = np.zeros((len(grid), 3))
-    places[known] = moved.tips(grid[known])[:, :3, 3]
-    nominal = _speeds_of_grid(moved.start, places, known)
-    for speeds, where, what in ((measured, seen.where, "what was measured"), (nominal, moved.where, "the nominal tip")):
-        fastest = float(np.quantile(speeds.values[speeds.known], 0.95)) if speeds.known.any() else 0.0
-        if fastest < _SLOWEST:
-            raise MeasurementError(
-                f"{where}: {what} hardly moves, at {fastest / MM:.2g} mm/s; a free clock is found from motion, and "
-                f"{_SLOWEST / MM:g} mm/s or more are needed."
-            )
-    peaks = _peaks(measured, nominal, seen.where, moved.where)
-    starts = _lines(peaks._replace(times=peaks.times - middle), seen.where)
+    fastest = _fastest(measured)
+    if fastest < _SLOWEST:
+        raise _hardly_moves(seen.where, "what was measured", fastest)
+    starts = _starts(measured, seen.where, moved, middle)
     # Recordings of two different motions fit best at the largest skew that is allowed.
     fitted = [refined(seen, moved, middle, start) for start in starts]
     found = _by_what_they_leave([one for one in fitted if abs(one.lag.skew) < MOST_SKEW])
@@ -152,12 +152,42 @@ def clock_lag(seen: Seen, moved: Moved, middle: float, gap: float) -> Lag:
     return best.lag
 
 
-class _Speeds(NamedTuple):
-    """Speeds (n,) in m/s on a grid that begins at ``start``, and where they are known (n,)."""
+def _starts(measured: _Speeds, where: str, moved: Moved, middle: float) -> list[Lag]:
+    """Return lags at which speeds go together: with that of the nominal tip, and with that of what is beside it.
 
-    start: float
-    values: Array
-    known: BoolArray
+    A tip on the axis of its joint stands still where the tool that it carries does not.
+    """
+    grid = np.arange(moved.start, moved.end, _STEP)
+    known = moved.known(grid)
+    tips = np.zeros((len(grid), 4, 4))
+    tips[known] = moved.tips(grid[known])
+    found: list[Lag] = []
+    refused: MeasurementError | None = None
+    for beside in (0.0, _BESIDE):
+        # The mean square of the speeds of points all around, at that distance.
+        places = np.concatenate([tips[:, :3, 3], beside / np.sqrt(3.0) * tips[:, :3, :3].reshape(-1, 9)], axis=1)
+        nominal = _speeds_of_grid(moved.start, places, known)
+        try:
+            if _fastest(nominal) < _SLOWEST:
+                raise _hardly_moves(moved.where, "the nominal tip", _fastest(nominal))
+            peaks = _peaks(measured, nominal, where, moved.where)
+            found += _lines(peaks._replace(times=peaks.times - middle), where)
+        except MeasurementError as e:
+            refused = refused or e
+    if not found and refused is not None:
+        raise refused
+    return found
+
+
+def _fastest(speeds: _Speeds) -> float:
+    return float(np.quantile(speeds.values[speeds.known], 0.95)) if speeds.known.any() else 0.0
+
+
+def _hardly_moves(where: str, what: str, fastest: float) -> MeasurementError:
+    return MeasurementError(
+        f"{where}: {what} hardly moves, at {fastest / MM:.2g} mm/s; a free clock is found from motion, and "
+        f"{_SLOWEST / MM:g} mm/s or more are needed."
+    )
 
 
 def _speeds(seen: Seen, gap: float) -> _Speeds:
