@@ -26,6 +26,7 @@ from calib.assessment.effects import (
     timing,
     unsettled,
 )
+from calib.assessment.gain import Gain, gain
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.stretches import pose_by_pose, stretches
@@ -36,6 +37,7 @@ from calib.machine.of_fit import machine_of
 from calib.measurement.boards import Board
 from calib.measurement.checks import Finding
 from calib.robot.deviation import axis_frame
+from calib.robot.urdf import parse_urdf
 from tests.support import cameras, machines
 from tests.support.gears import geared
 from tests.support.touching import NORMALS, UR10, between, lab
@@ -212,6 +214,50 @@ def test_nothing_better_than_before_is_not_shown() -> None:
     assert "Nothing shows that the arm deviates from its URDF" in found.doubts[0]
     # A job that keeps the URDF, as it says, is trusted.
     assert calib.assess(calib.identify(calib.error_model(cell.robot), own), held_out).trusted
+
+
+TURNTABLE = """<robot name="table"><link name="base"/><link name="tip"/><joint name="turn" type="revolute">
+<parent link="base"/><child link="tip"/><origin xyz="0 0 0.5"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
+
+
+def test_a_turntable_shows_nothing_beyond_base_and_tool_and_is_trusted() -> None:
+    rng = np.random.default_rng(3)
+    robot = calib.load_robot(parse_urdf(TURNTABLE.encode(), "table.urdf"))
+    q = rng.uniform(-2.5, 2.5, (60, 1))
+    points = Rotation.from_rotvec(q * (0.0, 0.0, 1.0)).apply((0.12, 0.03, 0.05))
+    seen = points @ Rotation.from_rotvec((0.3, 1.0, 0.2)).as_matrix().T + rng.normal(1.0, 5e-5, (60, 3))
+    data = calib.positions(robot, q, seen, sigma=5e-5)
+    fit = calib.identify(calib.error_model(robot, offsets="all", placements="all"), data.subset(range(40)))
+    found = calib.assess(fit, data.subset(range(40, 60)))
+    assert found.trusted
+    (check,) = (check for check in found.checks if check.name == "improvement")
+    assert check.sentence.startswith("Base and tool alone explain the measurements")
+    # Of a table that nothing explains, it is not said.
+    wild = replace(data, position=rng.uniform(-0.2, 0.2, (60, 3)))
+    fit = calib.identify(fit.model, wild.subset(range(40)))
+    assert {"explained", "improvement"} <= failed(calib.assess(fit, wild.subset(range(40, 60))))
+
+
+def test_errors_along_what_a_calibration_changed_show_that_it_is_right(cell: Cell) -> None:
+    """Row by row errors are hardly smaller, of twenty rows all of which have as much noise as was mended."""
+    data, rng = cell.measured(cell.draw(20)), np.random.default_rng(1)
+    noise, change = (rng.normal(0.0, 1e-4, (20, 3)) for _ in range(2))
+
+    def of(before: Array, after: Array, passed_over: float = 0.0) -> Gain:
+        return gain([JudgedSet("validation", "v.csv", data, before, after)], "position", passed_over)
+
+    better = of(noise + change, noise)
+    assert better.t > 5.0
+    assert better.changed == pytest.approx(np.sqrt(np.mean(np.sum(change**2, axis=1))))
+    assert of(noise, noise + change).t == -better.t
+    # Of noise alone, with half of it as a change, little shows.
+    ts = [of(own, own - 0.5 * other).t for own, other in rng.normal(0.0, 1e-4, (200, 2, 20, 3))]
+    assert np.mean(np.array(ts) > better.needed(0.975)) < 0.05
+    # Rows that a robust loss passes over hide nothing.
+    wild = noise + np.where(np.arange(20)[:, None] < 2, 0.01, 0.0) * rng.normal(size=(20, 3))
+    assert of(wild + change, wild, 0.15).t > 3.0
+    assert of(wild + change, wild, 0.15).after < 4e-4 < of(wild + change, wild).after
 
 
 def test_frames_alone_need_not_be_better(cell: Cell) -> None:

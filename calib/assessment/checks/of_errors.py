@@ -7,7 +7,7 @@ import scipy
 
 from calib.assessment.checks.of_fit import ROUNDING, small_sigma
 from calib.assessment.effects import memory
-from calib.assessment.gain import gain
+from calib.assessment.gain import Gain, gain
 from calib.assessment.judged import NOTHING, Check, JudgedSet
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound, exceeded
@@ -16,7 +16,7 @@ from calib.identification.fit import Fit
 from calib.identification.repeats import by_pose
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors, residual_errors, row_freedom, row_noise
-from calib.measurement.kinds import QUANTITIES
+from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import End, Measurements
 from calib.measurement.poses import ONE_POSE, both_ends, poses_of
 
@@ -28,6 +28,8 @@ ONE_PLACE = 0.05
 SURELY, WORSE = 0.975, -4.0
 # Errors that are so much larger have grown by more than another weighing of the same rows does.
 GROWN = 1.25
+# Of what is left, a change of what is predicted that is no more neither shows that the arm deviates nor spoils it.
+HARDLY = 0.25
 # Errors before calibration that are within this of the noise show no deviation of the arm.
 AS_NOISE = 2.0
 # Held-out errors as multiples of those predicted, which are themselves estimates: their chance.
@@ -91,34 +93,51 @@ def _points(fit: Fit, data: Measurements, end: End) -> Array:
 
 
 def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
-    """Whether errors are smaller than before, by more than chance makes them over different poses."""
+    """Whether errors are smaller than before, by more than chance makes them over different poses.
+
+    Nothing is to be smaller where base and tools explain the rows, and what was found of the robot hardly changes it.
+    """
     if not any(parameter.of_robot for parameter in fit.parameters):
         return _not_spoiled(judged)
-    best, limit, worse, deviates = -np.inf, NOTHING, "", False
+    best, limit, worse, deviates, still = -np.inf, NOTHING, "", False, True
+    passed_over = PASSED_OVER if any(loss != "linear" for loss in fit.losses) else 0.0
     for name in sorted({quantity.name for one in judged for quantity in QUANTITIES[one.data.kind]}, reverse=True):
-        found = gain(judged, name)
+        found = gain(judged, name, passed_over)
         if not found.freedom:
             continue
         if found.t > best:
             best, limit = found.t, found.needed(SURELY)
-        clearly = found.t < WORSE or found.t > found.needed(SURELY)
+        clearly = _grown(found) or found.t > found.needed(SURELY)
         deviates |= clearly or not found.before <= AS_NOISE * _noise(fit, name)
-        if found.t < WORSE or (name in ("position", "pixels") and found.after >= found.before):
+        still &= found.changed <= HARDLY * found.after and found.before <= _small(fit, name)
+        if _grown(found) or (name in ("position", "pixels") and found.after >= found.before):
             worse = name
     if not np.isfinite(best):
         return Check.idle("improvement", NOTHING, "There are too few rows to judge an improvement.", least=True)
     held_out = any(one.use == "validation" for one in judged)
     data = "held-out data" if held_out else "the fitted data"
+    if best > limit and not worse:
+        said = f"Errors are smaller than before calibration by {best:.2g} standard errors."
+        return Check.of("improvement", best, limit, True, said, least=True)
+    if still:
+        said = (
+            "Base and tool alone explain the measurements: the deviations of the robot that were found change what is "
+            f"predicted of {data} by less than a quarter of what is left."
+        )
+        return Check.idle("improvement", NOTHING, said, least=True)
     # Of what nothing explains, or of rows that belong together no more, nothing is known of the arm either.
     deviates |= _left(fit, judged, [one.before for one in judged])[0] > LEFT
     alike = "" if deviates else _ALIKE
     if worse:
         said = f"On {data} the {worse} error is no smaller than before calibration.{alike}"
         return Check.of("improvement", best, limit, False, said, least=True)
-    passed = best > limit
-    said = f"Errors are smaller than before calibration by {best:.2g} standard errors"
-    more = "." if passed else f", and {limit:.2g} are needed: the improvement may be chance.{alike}"
-    return Check.of("improvement", best, limit, passed, said + more, least=True)
+    said = f"Errors are smaller than before calibration by {best:.2g} standard errors, and {limit:.2g} are needed: "
+    return Check.of("improvement", best, limit, False, f"{said}the improvement may be chance.{alike}", least=True)
+
+
+def _grown(found: Gain) -> bool:
+    """Return whether errors have clearly grown."""
+    return found.t < WORSE and found.after > GROWN * found.before
 
 
 def _not_spoiled(judged: Sequence[JudgedSet]) -> Check:
@@ -129,7 +148,7 @@ def _not_spoiled(judged: Sequence[JudgedSet]) -> Check:
     """
     for name in sorted({quantity.name for one in judged for quantity in QUANTITIES[one.data.kind]}):
         found = gain(judged, name)
-        if found.freedom and found.t < WORSE and found.after > GROWN * found.before:
+        if found.freedom and _grown(found):
             said = (
                 f"No parameter of the robot was free, and the {name} error is {found.after / found.before:.2g} times "
                 "as large as without what rows of a photograph have in common: they err together as no place of board "
@@ -147,6 +166,15 @@ def _noise(fit: Fit, name: str) -> float:
     columns = next(q.columns for q in QUANTITIES[fit.measurements[same[0].measurements].kind] if q.name == name)
     mean = np.average([n.total**2 for n in same], weights=[n.degrees_of_freedom for n in same])
     return float(np.sqrt((columns.stop - columns.start) * mean))
+
+
+def _small(fit: Fit, name: str) -> float:
+    """Return what errors (rms) of a quantity are small: as the instrument's noise, or for an arm of its reach."""
+    kinds = [QUANTITIES[data.kind] for data in fit.measurements]
+    columns = next((q.columns for of_kind in kinds for q in of_kind if q.name == name), slice(0, 3))
+    sigmas = [noise.instrument for noise in fit.noise if noise.quantity == name]
+    alone = max(small_sigma(fit, UNIT_OF[name]), AS_NOISE * min(sigmas, default=0.0))
+    return float(np.sqrt(columns.stop - columns.start)) * alone
 
 
 def prediction(fit: Fit, machine: CalibratedMachine, held_out: Sequence[JudgedSet]) -> Check:
