@@ -15,8 +15,12 @@ _ARCHIVE = b"PK\x03\x04"
 _ARRAYS, _WORKBOOK, _RECORDS = ".npz", ".xlsx", (".json", ".jsonl", ".ndjson", ".yaml", ".yml")
 # What .xls begins with, and the name of the first member of an .ods, at its place.
 _OLE, _OPEN_DOCUMENT = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", (30, b"mimetype")
+_MATLAB = "is of MATLAB, and no text; save its matrices as text there, as writematrix(q, 'q.csv') does."
 # What other programs pack or write, by its first bytes, and what to do.
 _OTHERS = {
+    b"MATLAB 5.0 MAT-file": _MATLAB,
+    b"MATLAB 7.3 MAT-file": _MATLAB,
+    b"\x89HDF": "is HDF5, and no text; numpy.savez writes an .npz, of which calib import makes a table.",
     b"\x1f\x8b": "is packed by gzip, and no text; unpack it: gzip -d.",
     b"\x93NUMPY": "is an array of NumPy, and no text; numpy.savez writes an .npz, of which calib import makes a table.",
 }

@@ -73,6 +73,9 @@ def test_decimal_commas_that_leave_doubts(tmp_path: Path, contents: str, sentenc
     assert said(tmp_path, contents) == sentence.format(tmp_path / "t.csv")
 
 
+MATLAB = ": is of MATLAB, and no text; save its matrices as text there, as writematrix(q, 'q.csv') does."
+
+
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 @pytest.mark.parametrize("mark", ["", "\ufeff"])
 def test_line_ends_and_marks(tmp_path: Path, end: str, mark: str) -> None:
@@ -84,6 +87,12 @@ def test_line_ends_and_marks(tmp_path: Path, end: str, mark: str) -> None:
     ("contents", "sentence"),
     [
         ((HEADER + "1, 2, a\n").encode("utf-16")[:-1], ": is not whole UTF-16 text; save it as UTF-8."),
+        (b"MATLAB 5.0 MAT-file, Platform: PCWIN64" + bytes(90), MATLAB),
+        (b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(90), MATLAB),
+        (
+            b"\x89HDF\r\n\x1a\n" + bytes(20),
+            ": is HDF5, and no text; numpy.savez writes an .npz, of which calib import makes a table.",
+        ),
         (b"\x1f\x8b\x08" + bytes(20), ": is packed by gzip, and no text; unpack it: gzip -d."),
         (
             b"\x93NUMPY\x01\0" + bytes(20),
