@@ -36,6 +36,7 @@ TORQUES = _words("tau torque torques effort")
 # What as many numbers of an orientation are.
 _SIZES: dict[int, Literal["angles", "quaternion", "matrix"]] = {3: "angles", 4: "quaternion", 9: "matrix"}
 _TURNS = _words("r rot rotation phi theta euler ang angle angles orientation ori rv rvec rotvec w o")
+_PLACES = _words("p pos position t trans translation")
 _QUATERNION = frozenset(("q", "quat", "quaternion"))
 _POSE = frozenset(("pose", "tcp", "cartesian", "cart"))
 # Titles of what is neither a joint nor measured: never joints by their place alone.
@@ -234,7 +235,7 @@ def _kind_of_axes(stem: str, words: frozenset[str]) -> Literal["point", "turns",
         return "quaternion"
     if stem in _NO_POSITION or words & _NO_POSITION:
         return "other"
-    if words & _TURNS:
+    if words & _TURNS and stem not in _PLACES:  # px_r stands beside rx_r
         return "turns"
     return "other" if stem == "m" and not words & {"coord", "coordinate"} else "point"
 

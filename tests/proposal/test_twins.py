@@ -128,3 +128,16 @@ def check(found: calib.measuring.Proposal, expected: Expected) -> None:
     if expected.ignore is not None:
         assert sorted(table.columns.ignore) == sorted(expected.ignore)
     assert any(expected.says in reason for reason in found.reasons)
+
+
+def test_a_place_may_be_called_as_its_rotation_is(tmp_path: Path) -> None:
+    """As a published log of a controller has it: px_r beside rx_r."""
+    seen = session(UR10, "tool0")
+    turned = Rotation.from_matrix(seen.rotation).as_rotvec()
+    titles = [*numbered("q{}"), "px_r", "py_r", "pz_r", "rx_r", "ry_r", "rz_r"]
+    (tmp_path / "table.csv").write_text(text(titles, [seen.readings, seen.position, turned]))
+    found = calib.measuring.propose(URDF_OF["UR10"], [tmp_path / "table.csv"])
+    assert not found.questions, found.questions
+    names = found.tables[0].columns.names
+    assert (names["x [m]"], names["rz [rad]"]) == ("px_r", "rz_r")
+    assert found.tables[0].columns.orientation == "rotation_vector"
