@@ -63,7 +63,7 @@ _OTHERS: dict[Kind, tuple[str, ...]] = {
     "robot": (".urdf",),
     "table": (
         *(".csv", ".tsv", ".txt", ".dat", ".asc", ".log"),
-        *(".json", ".jsonl", ".ndjson", ".yaml", ".yml", ".xlsx", ".npz"),
+        *(".json", ".jsonl", ".ndjson", ".yaml", ".yml", ".xlsx", ".npz", ".mat"),
         *(".mod", ".prg", ".src", ".ls", ".script"),
     ),
     "settings": (".toml",),

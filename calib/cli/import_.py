@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # The first word for photographs.
 _IMAGES = "images"
-_FILES = "One file, or joints and points apart: text, records, .xlsx, .npz; a ROS recording; or images FOLDER."
+_FILES = "One file, or joints and points apart: text, records, .xlsx, .npz, .mat; a ROS recording; or images FOLDER."
 _STACK = "Put the files one below the other; a column TITLE has their names."
 _ROBOT = "FILE is the maker's calibration of this UR arm: write its URDF. Of images: the arm, and write a job."
 

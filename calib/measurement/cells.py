@@ -15,7 +15,7 @@ _ARCHIVE = b"PK\x03\x04"
 _ARRAYS, _WORKBOOK, _RECORDS = ".npz", ".xlsx", (".json", ".jsonl", ".ndjson", ".yaml", ".yml")
 # What .xls begins with, and the name of the first member of an .ods, at its place.
 _OLE, _OPEN_DOCUMENT = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", (30, b"mimetype")
-_MATLAB = "is of MATLAB, and no text; save its matrices as text there, as writematrix(q, 'q.csv') does."
+_MATLAB = "is of MATLAB, and no text; calib import makes a table of it, where its name ends with .mat."
 # What other programs pack or write, by its first bytes, and what to do.
 _OTHERS = {
     b"MATLAB 5.0 MAT-file": _MATLAB,

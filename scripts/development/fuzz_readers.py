@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
+from scipy.io import savemat
 
 from calib.assessment.iso9283 import figures
 from calib.compensation.controllers.ur_own import with_ur_kinematics
@@ -185,8 +186,11 @@ _SHEETS = (".jsonl", ".json", ".yaml", ".xlsx", ".txt", ".npz")
 
 
 def _sheet(data: bytes) -> None:
-    kind = _SHEETS[data[0] % len(_SHEETS)] if data else ".jsonl"
-    one = read_sheet(file(f"sheet{kind}", data[1:]))
+    if data.startswith(b"MATLAB"):
+        one = read_sheet(file("sheet.mat", data))
+    else:
+        kind = _SHEETS[data[0] % len(_SHEETS)] if data else ".jsonl"
+        one = read_sheet(file(f"sheet{kind}", data[1:]))
     joined(one, one)
     assert one.csv().count("\n") >= len(one.rows), "rows that are lost"
 
@@ -382,7 +386,21 @@ def _sheets() -> list[bytes]:
         b"J2= 2 deg,\n J3= 3 deg\n};\n",
         b"\4q = np.array([[1, 2, 3],\n [2, 3, 4],\n [3, 4, 5]])\n",
         b'\4n,q,p\n1,"[1, 2, 3]","(1 2 3)"\n2,"[1, 2, 4]","(1 2 3)"\n',
+        *map(_matlab, (False, True)),
     ]
+
+
+def _matlab(packed: bool) -> bytes:
+    held = io.BytesIO()
+    arrays = {
+        "q": np.arange(12.0).reshape(2, 6),
+        "T": np.ones((4, 4, 2)),
+        "n": "a",
+        "c": {"x": 1},
+        "k": np.int8([1, 2]),
+    }
+    savemat(held, arrays, do_compression=packed)
+    return held.getvalue()
 
 
 def _own_kinematics() -> list[bytes]:

@@ -73,7 +73,7 @@ def test_decimal_commas_that_leave_doubts(tmp_path: Path, contents: str, sentenc
     assert said(tmp_path, contents) == sentence.format(tmp_path / "t.csv")
 
 
-MATLAB = ": is of MATLAB, and no text; save its matrices as text there, as writematrix(q, 'q.csv') does."
+MATLAB = ": is of MATLAB, and no text; calib import makes a table of it, where its name ends with .mat."
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 import calib
 from calib.measurement.formats import arrays, workbook
@@ -46,6 +47,53 @@ def logs(folder: Path) -> None:
     points = text(None, [["Cell"] * 36, ["G1"] * 36, [f"p{k}" for k in order], 1e3 * s.position[order]])
     (folder / "sa.txt").write_text("// SpatialAnalyzer, mm\nCollection, Group, Point Name, X, Y, Z\n" + points)
     (folder / "in_order.txt").write_text(text(None, [1e3 * s.position], separator=" "))
+
+
+def test_matrices_of_matlab(folder: Path) -> None:
+    s = session()
+    T = np.concatenate([s.rotation, s.position[:, :, None]], axis=2)
+    T = np.moveaxis(np.concatenate([T, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (40, 1, 1))], axis=1), 0, 2)
+    odd = {"rate": 500.0, "note": "warm", "info": {"by": 1}, "time": np.arange(40.0), "log": np.zeros((7, 2))}
+    savemat(folder / "m.mat", {"q": np.degrees(s.readings), "T": T, **odd}, do_compression=True)
+    savemat(folder / "p.mat", {"p": 1e3 * s.position})
+    assert run("import", "m.mat", "-o", "a.csv", "-q") == (0, "", "")
+    names = understood(folder / "a.csv")
+    assert [names[key] for key in ("shoulder_pan_joint [deg]", "x [m]", "r12")] == ["q_0", "T_0_3", "T_0_1"]
+    held = read_sheet(folder / "m.mat")
+    assert held.titles[-1] == "time"
+    left = "'rate', 'note', 'info', 'log' are no arrays of numbers or words with 40 rows, and left out"
+    assert held.remarks == (left,)
+    savemat(folder / "q.mat", {"q": np.degrees(s.readings)})
+    assert run("import", "q.mat", "p.mat", "-o", "b.csv", "-q") == (0, "", "")
+    assert understood(folder / "b.csv")["x [mm]"] == "p_x"
+    said = run("init", UR10, "p.mat")
+    assert said.err == (
+        "Error: p.mat: is of MATLAB, and no text; calib import makes a table of it, where its name ends with .mat.\n"
+    )
+
+
+def test_what_is_wrong_with_a_file_of_matlab_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    savemat(folder / "m.mat", {"q": np.arange(12.0).reshape(2, 6)})
+    whole = (folder / "m.mat").read_bytes()
+    savemat(folder / "zeros.mat", {"q": np.zeros((4, 1_000_001))}, do_compression=True)
+    savemat(folder / "words.mat", {"n": "a", "c": {"x": 1}})
+    (folder / "hdf.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\0\2IM" + bytes(400))
+    for cut in (*range(0, 128, 9), *range(128, len(whole) - 8, 7)):
+        (folder / "cut.mat").write_bytes(whole[:cut])
+        with pytest.raises(calib.MeasurementError, match=r"^cut.mat: (is no file of MATLAB|holds no arrays)"):
+            read_sheet("cut.mat")
+    for name, says in (
+        ("zeros.mat", "has more than 4000000 values."),
+        ("words.mat", "holds no arrays of numbers or words, with a row for every measurement."),
+        ("hdf.mat", "is of MATLAB 7.3, which is not read; save it there with the option -v7."),
+    ):
+        with pytest.raises(calib.MeasurementError) as caught:
+            read_sheet(name)
+        assert str(caught.value) == f"{name}: {says}"
+    savemat(folder / "packed.mat", {"q": np.zeros((100, 100))}, do_compression=True)
+    monkeypatch.setattr(arrays, "_LARGEST", 10_000)
+    with pytest.raises(calib.MeasurementError, match=r"^packed.mat: unpacks to more than 10000 bytes\.$"):
+        read_sheet("packed.mat")
 
 
 def test_points_by_their_names(folder: Path) -> None:

@@ -1,14 +1,21 @@
-"""Arrays in NumPy's archive (.npz): one after the other, rows of as many as most of them have."""
+"""Arrays in NumPy's archive (.npz) or a MATLAB file: one after the other, rows of as many as most of them have."""
 
+import contextlib
 import io
+import math
+import struct
 import sys
 import tokenize
+import warnings
 import zipfile
+import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
@@ -20,9 +27,15 @@ _LARGEST = 200_000_000
 _MOST_COLUMNS = 1000
 # A megabyte of zeros unpacks to all that is allowed above, and each of them becomes a word.
 _MOST_VALUES = 4_000_000
+# Of MATLAB's kinds those that are matrices of numbers, and its mark of a packed element.
+_OF_NUMBERS = frozenset(("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))))
+_PACKED = 15
+
+# Titles, cells and remarks.
+_Rows = tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]
 
 
-def from_npz(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]:
+def from_npz(data: bytes, where: str) -> _Rows:
     """Return titles and cells of arrays (N,), (N, k) or (N, i, j), and remarks; N is the length that most arrays share.
 
     The columns of an array ``q`` are ``q_0``, ``q_1``, ..., those of a point (N, 3) ``p_x``, ``p_y``, ``p_z``, those of
@@ -40,6 +53,56 @@ def from_npz(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[
         raise
     except (zipfile.BadZipFile, tokenize.TokenError, *DAMAGED) as e:
         raise MeasurementError(f"{where}: is no archive of arrays that can be read.") from e
+    return _as_columns(arrays, names, where)
+
+
+def from_mat(data: bytes, where: str) -> _Rows:
+    """Return titles and cells of the matrices of a MATLAB file, as :func:`from_npz` does; not of cells and structs.
+
+    Of matrices along a third dimension, as of placements (4, 4, N), this counts the rows. MATLAB 7.3 writes HDF5, which
+    is refused.
+    """
+    if len(data) > _LARGEST or _unpacked(data) > _LARGEST:
+        raise MeasurementError(f"{where}: unpacks to more than {_LARGEST} bytes.")
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of names that come twice, and what it passes over
+            held = scipy.io.whosmat(file := cast(Any, io.BytesIO(data)))
+            names = list(dict.fromkeys(name for name, *_ in held))
+            plain = [name for name, _, kind in held if kind in _OF_NUMBERS]
+            if sum(math.prod(shape) for name, shape, _ in held if name in plain) > _MOST_VALUES:
+                raise MeasurementError(f"{where}: has more than {_MOST_VALUES} values.")
+            read = scipy.io.loadmat(file, variable_names=plain) if plain else {}
+    except MeasurementError:
+        raise
+    except NotImplementedError as e:
+        raise MeasurementError(
+            f"{where}: is of MATLAB 7.3, which is not read; save it there with the option -v7."
+        ) from e
+    except (scipy.io.matlab.MatReadError, *DAMAGED) as e:
+        raise MeasurementError(f"{where}: is no file of MATLAB that can be read.") from e
+    arrays = {}
+    for name in plain:
+        array = np.asarray(read.get(name, ()))
+        if array.dtype.kind in "iuf" and array.ndim in (2, 3) and array.size:
+            arrays[name] = np.moveaxis(array, 2, 0) if array.ndim == 3 else array.ravel() if 1 in array.shape else array
+    return _as_columns(arrays, names, where)
+
+
+def _unpacked(data: bytes) -> int:
+    """Return how many bytes the packed elements of a MATLAB file have together, as far as it matters."""
+    order = "<" if data[126:128] == b"IM" else ">"
+    at, size = 128, 0
+    while at + 8 <= len(data) and size <= _LARGEST:
+        kind, count = struct.unpack_from(f"{order}II", data, at)
+        if kind == _PACKED:
+            unpacking = zlib.decompressobj()
+            with contextlib.suppress(zlib.error):  # what is damaged is said where it is read
+                size += len(unpacking.decompress(data[at + 8 : at + 8 + count], _LARGEST + 1 - size))
+        at += 8 + count
+    return size
+
+
+def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[str], where: str) -> _Rows:
     counts = Counter(len(array) for array in arrays.values())
     if not counts:
         raise MeasurementError(f"{where}: holds no arrays of numbers or words, with a row for every measurement.")

@@ -53,7 +53,7 @@ def _of_one_line(name: str) -> str:
 
 
 def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
-    """Return the sheet of a file: a table of text, records (.jsonl, YAML, JSON), a workbook (.xlsx), arrays (.npz).
+    """Return the sheet of a file: text, records (.jsonl, YAML, JSON), a workbook (.xlsx), arrays (.npz, .mat).
 
     Logs of UR's RTDE and of Motive become tables with ``time [s]``; ``part``: the rigid body of these. Raises
     MeasurementError when it cannot be read, or holds no rows.
@@ -68,6 +68,7 @@ def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
         ".yml": records.from_yaml,
         ".xlsx": workbook.from_xlsx,
         ".npz": arrays.from_npz,
+        ".mat": arrays.from_mat,
     }
     data = read_bytes(path, MeasurementError, _LARGEST)
     reader = readers.get(path.suffix.lower())
