@@ -195,7 +195,7 @@ def compare_models(
         choose = [name for name, model in models.items() if name == TERMS and not model.terms]
     if unknown := sorted(set(choose) - set(models)):
         raise JobError(f"choose: {unknown[0]!r} is not one of the models, {', '.join(models)}.")
-    group = row_groups(sets, places=True)
+    group = row_groups(sets, places=True, known={name for model in models.values() for name in model.targets})
     all_rows = len(group)
     looked_at = some_rows(sets, group, _ENOUGH_ROWS)
     masks = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])

@@ -66,13 +66,14 @@ class HeldOut:
     largest: float = math.nan
 
 
-def row_groups(measurements: Sequence[Measurements], *, places: bool = False) -> IntArray:
+def row_groups(measurements: Sequence[Measurements], *, places: bool = False, known: Collection[str] = ()) -> IntArray:
     """Return the group (N,) of every row of all sets, from 0; rows of one pose or of one ``group`` have one number.
 
     With ``places`` rows that touch one socket have one number as well: the tool was in one place. Not so where a tool
-    that touches it touches no other: without these rows nothing would be known of the tool. Rows of a stream go
-    together in stretches of 5 s, longer than noise remembers. Numbered by the poses in them, so that neither the order
-    of the rows nor that of the sets matters.
+    that touches it touches no other: without these rows nothing would be known of the tool; nor if the place of the
+    socket is ``known``, so that its rows are measured positions, and may be what shows where the base is. Rows of a
+    stream go together in stretches of 5 s, longer than noise remembers. Numbered by the poses in them, so that neither
+    the order of the rows nor that of the sets matters.
     """
     poses = np.concatenate([_poses(data, k) for k, data in enumerate(measurements)])
     cells, cell = np.unique(poses, axis=0, return_inverse=True)
@@ -81,7 +82,7 @@ def row_groups(measurements: Sequence[Measurements], *, places: bool = False) ->
     first: dict[tuple[str, str], int] = {}
     said = [
         (first.setdefault((what, word), int(c)), int(c))
-        for what, words in (("group", _words(measurements)), ("place", _places(measurements) if places else ()))
+        for what, words in (("group", _words(measurements)), ("place", _places(measurements, known) if places else ()))
         for word, c in zip(words, cell, strict=bool(words))
         if word is not None
     ]
@@ -97,7 +98,12 @@ def row_groups(measurements: Sequence[Measurements], *, places: bool = False) ->
 
 @checked
 def hold_out(
-    data: Measurements, share: float = 0.25, *, places: Collection[str] | None = None, keep: Collection[str] = ()
+    data: Measurements,
+    share: float = 0.25,
+    *,
+    places: Collection[str] | None = None,
+    keep: Collection[str] = (),
+    known: Collection[str] = (),
 ) -> tuple[Measurements, Measurements]:
     """Return the rows to identify from, and the held-out rows, which judge the fit.
 
@@ -107,6 +113,8 @@ def hold_out(
     ``share``: how many of the groups to hold out; rows of one pose, one socket or one ``group`` stay together, and of
     several tools or set-ups none is left with fewer measured numbers than a pose has. Nor is a target that is named in
     ``keep``, as those of relations are: a known length between two sockets says nothing once one of them is held out.
+    Rows of sockets in ``known`` places are as good as positions, and do not stay together: without three of these
+    nothing may show where the base is.
     ``places``: instead of a share, names of sockets and other targets, or words of the column ``group``. Neither part
     has targets without rows. Raises MeasurementError when a place is not known, or when one part would have no rows;
     JobError for a share that is not between 0 and 1.
@@ -114,7 +122,7 @@ def hold_out(
     if not 0.0 < share < 1.0:
         raise JobError(f"share: {share!r} is not between 0 and 1.")
     if places is None:
-        group = row_groups([data], places=True)
+        group = row_groups([data], places=True, known=known)
         number = int(group.max(initial=0)) + 1
         if number < 2:
             raise MeasurementError(f"{data.where}: the rows are of one pose or one group, and none can be held out.")
@@ -180,15 +188,15 @@ def _words(measurements: Sequence[Measurements]) -> list[str | None]:
     return [word for data in measurements for word in (data.group or [None] * len(data))]
 
 
-def _places(measurements: Sequence[Measurements]) -> list[str | None]:
-    """Return the socket of every row of all sets, None where a row is of none, or of the only one of its tool."""
+def _places(measurements: Sequence[Measurements], known: Collection[str]) -> list[str | None]:
+    """Return the socket of every row of all sets, None where a row is of none, a known one, or its tool's only one."""
     rows = [
         (data.tools[tool], data.targets[target]) if data.kind == "socket" else (None, None)
         for data in measurements
         for tool, target in zip(data.tool, data.target, strict=True)
     ]
     sockets = {tool: {place for other, place in set(rows) if other == tool} for tool, _ in set(rows)}
-    alone = {next(iter(places)) for places in sockets.values() if len(places) == 1}
+    alone = {*known, *(next(iter(places)) for places in sockets.values() if len(places) == 1)}
     return [None if place in alone else place for _, place in rows]
 
 

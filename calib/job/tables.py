@@ -103,12 +103,13 @@ def with_held_out(job: Job) -> Job:
 def shared_out(data: Measurements, section: MeasurementsSection, job: Job) -> Measurements:
     """Return what of a table is of one use: whole groups of rows, spread at random but alike every time.
 
-    Targets of relations stay among those to identify from.
+    Targets of relations stay among those to identify from; rows of sockets in known places are spread one by one.
 
     Raises MeasurementError when the rows are of one pose or one group.
     """
     assert section.hold_out is not None, "a table that holds out rows"
-    kept, held_out = hold_out(data, section.hold_out, keep=related_targets(job.relations))
+    known = {name for name, target in job.targets.items() if target.position is not None}
+    kept, held_out = hold_out(data, section.hold_out, keep=related_targets(job.relations), known=known)
     return held_out if section.use == "validate" else kept
 
 

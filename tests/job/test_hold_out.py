@@ -138,3 +138,38 @@ def test_sockets_of_a_known_distance_are_not_held_out(tmp_path: Path) -> None:
     job.write_text(RELATED.format("a", "other", 0.4), encoding="utf-8")
     said = " ".join(run("check", job).out.split())
     assert "the known distance of 'a' and 'other' is not used, as not both are in a table to identify from" in said
+
+
+KNOWN = """
+schema = 1
+[robot]
+urdf = "example:ur_description/urdf/ur10_robot.urdf"
+tip = "tool0"
+[error_model]
+offsets = "all"
+{0}
+[[measurements]]
+file = "some.csv"
+observes = "socket"
+sigma = "0.03 mm"
+hold_out = 0.25
+"""
+
+
+def test_of_three_sockets_in_known_places_each_stays_in_the_fit(tmp_path: Path) -> None:
+    """Two leave the base free to turn about the line between them: the readings seemed to be of another robot."""
+    made = lab(noise=3e-5)
+    data = made.sockets(12)
+    target = [data.targets[t] for t in data.target]
+    write_table(tmp_path / "some.csv", made.columns(data.readings, target=target))
+    known = "".join(f"[targets.{name}]\nposition = {[f'{x} m' for x in place]}\n" for name, place in SOCKETS.items())
+    job = tmp_path / "job.toml"
+    job.write_text(KNOWN.format(known), encoding="utf-8")
+    inputs = load(job)
+    ((own,), (held_out,)) = inputs.identify, inputs.validate
+    assert set(own.targets) == set(held_out.targets) == set(SOCKETS)
+    assert (len(own), len(held_out)) == (27, 9)
+    # In unknown places one is held out as a whole: else what is left of its rows would be of where they are.
+    job.write_text(KNOWN.format('base = "fixed"'), encoding="utf-8")
+    inputs = load(job)
+    assert [len(data.targets) for data in (*inputs.identify, *inputs.validate)] == [2, 1]
