@@ -37,6 +37,7 @@ _MOST_ROWS, _MOST_PARAMETERS, _MOST_EVALUATIONS = 3000, 300, 60
 # A cause brings the scatter of what is left to this share or less.
 LEAST_LEFT = 0.5
 _LISTED = 3
+_STRONGEST: Loss = "cauchy"
 # Of more targets each table has one length in common.
 _MOST_TARGETS = 10
 _ROLES = {"distance": "offset", "pair_distance": "offset", "sphere": "radius"}
@@ -83,22 +84,23 @@ def _judged(fit: Fit, sets: Sequence[JudgedSet], tables: Sequence[Measurements])
 def _passed_over(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
     """Return what is left if rows that lie far off are passed over: of the fit by a robust loss, of others as they are.
 
-    A fit by a robust loss passes over its own already.
+    The loss is the strongest one: a table with that passes over its own already, and one with a weaker one not quite.
     """
-    robust = any(loss != "linear" for loss in fit.losses)
     try:
-        found = fit if robust else _by_loss(fit)
+        found = fit if all(loss == _STRONGEST for loss in fit.losses) else _by_loss(fit)
         judged = list(_judged(found, sets, [one.data for one in sets]))
     except CalibError:
         return None
     if not found.converged:
         return None
     parts, told, left = stretches(Residue.of(found, {})), [], []
-    own = dict(zip((k for k, one in enumerate(sets) if one.use == "identification"), found.measurements, strict=True))
+    fitted = [k for k, one in enumerate(sets) if one.use == "identification"]
+    own = dict(zip(fitted, found.measurements, strict=True))
+    losses = dict(zip(fitted, fit.losses, strict=True))
     for k, (one, doubted) in enumerate(zip(tuple(judged), sets, strict=True)):
         scale, rest = _scales(one), one
         far = _far(one, scale)
-        if not far.any() or np.mean(far) > MANY or (robust and k in own):
+        if not far.any() or np.mean(far) > MANY or (k in own and losses[k] == _STRONGEST):
             continue
         if k not in own:  # targets that are found from held-out rows are elsewhere without these
             (rest,) = _judged(found, [one], [one.data.subset(np.flatnonzero(~far))])
@@ -115,9 +117,9 @@ def _passed_over(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
 
 
 def _by_loss(fit: Fit) -> Fit:
-    """Return the fit by a robust loss."""
+    """Return the fit by the strongest loss."""
     model = fit.model.within(fit.measurements)
-    losses: list[Loss] = ["cauchy"] * len(fit.measurements)
+    losses = [_STRONGEST] * len(fit.measurements)
     return replace(identify_near(fit, model, fit.measurements, losses=losses), model=fit.model)
 
 
@@ -161,7 +163,7 @@ def _rows_said(one: JudgedSet, far: BoolArray, share: float) -> str:
     which = f"{noun(many, 'row')} {lines}" if many <= _LISTED else f"{many} rows, {lines} the farthest,"
     it, lie = ("it", "lies") if many == 1 else ("them", "lie")
     # What is held out takes no part in a fit, whatever the loss.
-    robustly = ', and let such rows weigh little: loss = "cauchy"' if one.use == "identification" else ""
+    robustly = f', and let such rows weigh little: loss = "{_STRONGEST}"' if one.use == "identification" else ""
     return (
         f"{one.file}: {which} {lie} far from the rest, and without {it} what is left scatters "
         f"{1.0 / np.sqrt(share):.2g} times less: look at {it}{robustly}."
