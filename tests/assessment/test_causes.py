@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.assessment.checks.of_fit import stated_sigma
 from calib.identification.losses import Loss
 from tests.support import machines
 from tests.support.touching import lab
@@ -42,6 +43,11 @@ def few(x: Array, rng: np.random.Generator) -> Array:
     return x
 
 
+def one(x: Array, rng: np.random.Generator) -> Array:
+    x[40] += 0.3
+    return x
+
+
 def moved(x: Array, rng: np.random.Generator) -> Array:
     x[90:] += (0.02, -0.01, 0.01)
     return x
@@ -55,6 +61,16 @@ def test_rows_that_lie_far_off_are_named_with_the_loss_that_passes_over_them() -
     assert least.doubts[0] == told(least)
     assert not any("seems to have changed" in doubt for doubt in least.doubts)
     assert robust.trusted
+
+
+def test_what_a_loss_passes_over_is_no_scatter_beside_the_stated_sigma() -> None:
+    """The instrument explains all other rows; the fit by the loss that is advised was doubted for this one."""
+    _, found = table(one)
+    fit = calib.identify(found.fit.model, found.fit.measurements, losses=["cauchy"], model_sigmas=[0.0])
+    assert np.sqrt(fit.noise[0].chi_square) > 300.0
+    check = stated_sigma(fit)
+    assert check.passed
+    assert check.statistic == pytest.approx(1.0, abs=0.3)
 
 
 def test_a_base_that_moved_is_no_rows_that_lie_far_off() -> None:

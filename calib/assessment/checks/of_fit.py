@@ -3,8 +3,10 @@
 import numpy as np
 
 from calib.assessment.judged import NOTHING, Check
+from calib.foundations.chance import bound
 from calib.identification.fit import Fit
-from calib.measurement.kinds import UNIT_OF
+from calib.identification.noise import Noise
+from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import Measurements
 from calib.measurement.poses import same_pose
 
@@ -70,8 +72,7 @@ def stated_sigma(fit: Fit) -> Check:
     for noise in fit.noise:
         if not noise.degrees_of_freedom >= ENOUGH or not noise.chi_square >= 0.0:
             continue
-        # Of a robust loss the total leaves out what the loss does.
-        times = noise.total / noise.instrument if noise.model > 0.0 else float(np.sqrt(noise.chi_square))
+        times = noise.total / noise.instrument if noise.model > 0.0 else _scatter(fit, noise)
         allowed = max(SIGMA, small_sigma(fit, UNIT_OF[noise.quantity]) / noise.instrument)
         if not worst / limit >= times / allowed:
             worst, limit = times, allowed
@@ -86,6 +87,19 @@ def stated_sigma(fit: Fit) -> Check:
             else:
                 said += "; the sigma seems too large." if times < 1.0 / TOO_LARGE else "."
     return Check.of("stated sigma", worst, limit, not worst > limit, said)
+
+
+def _scatter(fit: Fit, noise: Noise) -> float:
+    """Return how many times their stated sigma residuals scatter; of a robust loss, which passes over some, most rows.
+
+    What the model leaves out has no part in either.
+    """
+    if fit.losses[noise.measurements] == "linear":
+        return float(np.sqrt(noise.chi_square))
+    data, residuals = fit.measurements[noise.measurements], fit.residuals[noise.measurements]
+    own = next(one.columns for one in QUANTITIES[data.kind] if one.name == noise.quantity)
+    squares = np.sum((residuals[:, own] / data.sigma[:, own]) ** 2, axis=1)
+    return float(np.sqrt(np.median(squares) / bound(0.5, own.stop - own.start)))
 
 
 def small_sigma(fit: Fit, unit: str) -> float:
