@@ -274,6 +274,16 @@ def test_names_of_rows_of_columns_stay(folder: Path) -> None:
     assert read_sheet("b.json").rows == (("p", "1"), ("q", "2"))
 
 
+def test_very_many_entries_without_a_common_name_are_refused_quickly(folder: Path) -> None:
+    """Each name of the first was looked for in each of the others."""
+    records = {"a": {f"n{k}": 1 for k in range(30_000)}} | {f"b{k}": {"y": 1} for k in range(30_000)}
+    (folder / "a.json").write_text(json.dumps(records))
+    begun = time.process_time()
+    with pytest.raises(calib.MeasurementError, match="entries as 'a', 'b0' have no name in common"):
+        read_sheet("a.json")
+    assert time.process_time() - begun < 5.0
+
+
 def test_columns_of_arrays_are_read(folder: Path) -> None:
     q, p = [[float(k), 1.0] for k in range(20)], [[1.0, 2.0, float(k)] for k in range(20)]
     (folder / "a.json").write_text(json.dumps({"q": q, "p": p}))
@@ -297,7 +307,7 @@ def test_columns_of_arrays_are_read(folder: Path) -> None:
         (
             "a.json",
             '{"joints": {"j1": [1, 2]}, "points": {"x": [3, 4]}}',
-            f"a.json: 'joints', 'points' have no name in common, and are not rows; {RECORDS}.",
+            f"a.json: entries as 'joints', 'points' have no name in common, and are not rows; {RECORDS}.",
         ),
         (
             "a.json",

@@ -123,9 +123,11 @@ def _of_mappings(found: Mapping[str, Mapping[str, Any]], where: str) -> list[Any
             return list(rows.values())
         title = _free_title([found])
         return [{title: name, **row} for name, row in rows.items()]
-    first = next(iter(found.values()))
-    if len(found) > 1 and not any(name in value for value in list(found.values())[1:] for name in first):
-        raise MeasurementError(f"{where}: {listed(list(found))} have no name in common, and are not rows; {_ALLOWED}.")
+    first, *others = found.values()
+    if others and not any(name in first for value in others for name in value):
+        raise MeasurementError(
+            f"{where}: entries as {listed(list(found)[:2])} have no name in common, and are not rows; {_ALLOWED}."
+        )
     title = _free_title(found.values())
     return [{title: key, **value} for key, value in found.items()]
 
