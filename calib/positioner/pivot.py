@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, read_only
+from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.chance import shown_noise
 from calib.foundations.errors import MeasurementError
@@ -90,13 +90,13 @@ def pivot(
     T, names = _checked(placements, targets)
     refuse_sigma(sigma, "sigma")
     kept = tuple(dict.fromkeys(names))
-    own = np.array([[name == target for target in kept] for name in names], dtype=np.float64)
-    share = own / own.sum(axis=0)
+    number = {target: k for k, target in enumerate(kept)}
+    which = np.array([number[name] for name in names], dtype=np.intp)
+    counts = np.bincount(which)
     p0 = finite(guess, (3,), "the guess of a tool point must be three finite numbers, in m.")
     # Taking out every target's mean removes its fixed point.
     R, t = T[:, :3, :3], T[:, :3, 3]
-    R_mean, t_mean = np.einsum("nm,nij->mij", share, R), share.T @ t
-    which = own.argmax(axis=1)
+    R_mean, t_mean = _means(R, which, counts), _means(t, which, counts)
     A = (R - R_mean[which]).reshape(-1, 3)
     b = -((t - t_mean[which]) + (R - R_mean[which]) @ p0).ravel()
     U, values, Vt = svd(A, full_matrices=False)
@@ -106,18 +106,29 @@ def pivot(
     c = R_mean @ p + t_mean
     residuals = (R @ p + t) - c[which]
     sigma = shown_noise(residuals, 3 * len(T) - rank - 3 * len(kept), sigma)
-    # Both are linear in the touches: p through the centred rows, c = mean(touch) + R_mean p.
-    by_touch = np.concatenate([-inverse, np.kron(share.T, np.eye(3)) - R_mean.reshape(-1, 3) @ inverse])
+    # Both are linear in the touches: p through the centred rows, c = mean(touch) + R_mean p, and these means do not
+    # correlate with what is centred about them.
+    of_p = inverse @ inverse.T
+    by_p = np.concatenate([np.eye(3), R_mean.reshape(-1, 3)])
+    covariance = by_p @ of_p @ by_p.T
+    covariance[3:, 3:] += np.diag(np.repeat(1.0 / counts, 3))
     return Pivot(
         read_only(p),
         read_only(c),
         kept,
         read_only(residuals),
-        read_only(sigma**2 * by_touch @ by_touch.T),
+        read_only(sigma**2 * covariance),
         rank,
         read_only(Vt[rank:].T),
         sigma,
     )
+
+
+def _means(values: Array, which: IntArray, counts: IntArray) -> Array:
+    """Return the mean of the values (N, ...) of every target, of which there are ``counts`` (m,)."""
+    sums = np.zeros((len(counts), *values.shape[1:]))
+    np.add.at(sums, which, values)
+    return sums / counts.reshape(-1, *(1,) * (values.ndim - 1))
 
 
 def _checked(placements: npt.ArrayLike, targets: Sequence[str] | None) -> tuple[Array, tuple[str, ...]]:

@@ -1,5 +1,7 @@
 """The tip by pivoting, and the relative base, on placements that scipy's rotations made."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.optimize import OptimizeResult, least_squares
@@ -165,3 +167,15 @@ def test_points_that_tell_too_little_are_refused() -> None:
         relative_base(corners, 1e-300 * corners)  # a singular matrix
     with pytest.raises(calib.MeasurementError, match=r"they are \(5, 3\), \(4, 3\)"):
         relative_base(line, line[:4])
+
+
+def test_very_many_touches_of_many_cones_take_no_more_memory_than_they_have() -> None:
+    """Four tables of 16,000 touches of a hundred cones each took minutes, and gigabytes."""
+    count, cones = 20_000, 200
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, :3, :3] = Rotation.random(count, random_state=0).as_matrix()
+    tracemalloc.start()
+    found = pivot(T, [f"c{k % cones}" for k in range(count)], sigma=1e-4)
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()
+    assert found.covariance.shape == (3 + 3 * cones,) * 2
