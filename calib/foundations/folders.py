@@ -88,15 +88,20 @@ def write_folder(path: Path, files: Mapping[str, bytes | str], older: Collection
             raise OutputError(f"{path}: is a file or a link, and the results need a folder.")
         if not older and path.is_dir() and any(path.iterdir()):
             # It may be of a run that was killed when it was whole, and nobody else comes to clean up.
-            with contextlib.suppress(OSError), opened_folder(path.parent) as above:
-                place = _Place(path, above)
-                with _locked(place, fcntl.LOCK_EX):
-                    _clean(place)
+            clear_left(path)
             refuse_taken(path)
         with _made(path.parent), opened_folder(path.parent) as above:
             if older:
                 _refuse_led_away(path, above)
             _write(_Place(path, above), files, older)
+
+
+def clear_left(path: Path, patience: float = _PATIENCE) -> None:
+    """Remove what runs that were killed left beside a folder that nobody is about to write; what cannot be, stays."""
+    with contextlib.suppress(OSError), opened_folder(path.parent) as above:
+        place = _Place(path, above)
+        with _locked(place, fcntl.LOCK_EX, patience):
+            _clean(place)
 
 
 def _refuse_led_away(path: Path, above: int) -> None:

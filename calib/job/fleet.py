@@ -23,7 +23,7 @@ from uuid import uuid4
 
 from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import LARGEST_JSON, name_as_text, read_bytes, sha256
-from calib.foundations.folders import reading_folder, real_folder, refuse_unwritable
+from calib.foundations.folders import clear_left, reading_folder, real_folder, refuse_unwritable
 from calib.foundations.json_text import NotJsonError, parse_json
 from calib.foundations.version import __version__
 from calib.foundations.words import shown
@@ -184,6 +184,8 @@ def run_fleet(
     """
     made = {} if again else {job.name: _made_of(job) for job in jobs}
     done = {job.name: Done(job, earlier=True, inputs=made[job.name]) for job in jobs if made.get(job.name) is not None}
+    for one in done.values():  # nobody else comes to write there
+        clear_left(one.job.out, patience=0.0)
     waiting = [job for job in jobs if job.name not in done]
     if waiting or dask is not None:  # an address with a mistake is told also where there is nothing to do
         with _local(workers, waiting) if dask is None else _cluster(dask, waiting) as finished:

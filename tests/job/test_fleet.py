@@ -34,6 +34,7 @@ from calib.presentation.report.markdown import render_markdown
 from calib.presentation.report.page import render_page
 from calib.presentation.tables import plain, sheet_table
 from tests.support.cases import JOB, TABLE, by_another_machine, copy_case, edit, run, tree
+from tests.support.swaps import left
 
 MAIN = "from calib.cli import main; main()"
 QUIET = {"dashboard_address": "127.0.0.1:0", "silence_logs": 50}
@@ -270,6 +271,20 @@ def test_results_that_another_run_has_put_in_their_place_are_not_told_as_those_o
         (line,) = fleet_lines(finished)
         assert (line.word, line.why, line.report) == ("failed", (why,), None)
         assert run("calibrate", "jobs/plain.toml", "-o", "all/plain", "-q").code == 0
+
+
+def test_what_a_killed_fleet_left_beside_whole_results_goes_with_the_next(folder: Path) -> None:
+    """It was killed when results had their name: they are not made again, and the hidden folder stayed for ever."""
+    (job,) = fleet_jobs([Path("jobs/plain.toml")], Path("all"))
+    run_fleet([job], workers=1)
+    left(folder / "all/.plain.01234567.calib", old=False, new=False)
+    theirs = folder / "all/.plain.89abcdef.calib"
+    theirs.mkdir()
+    (theirs / "list.json").write_text("theirs")
+    before = tree(folder / "all/plain")
+    assert run_fleet([job], workers=1)[0].earlier
+    assert sorted(path.name for path in (folder / "all").iterdir()) == [".plain.89abcdef.calib", "plain"]
+    assert tree(folder / "all/plain") == before
 
 
 def test_a_file_that_somebody_wrote_while_a_fleet_ran_is_not_replaced(folder: Path) -> None:
