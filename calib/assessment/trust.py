@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.assessment.backward import backward
 from calib.assessment.causes import LEAST_LEFT, Cause, causes
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.checks.shown_range import shown_range
@@ -89,6 +90,7 @@ def verdict(
         parts = stretches(residue)
         C = residue.C
         poses = tuple(pose_by_pose(part, C) for part in parts)
+        moved_more = gains(poses, C)
         by_row = (
             # Of photographs that err together a change is a part of how they do, and hardly shows mark by mark.
             of_rows.jump(steps([by_photograph(part) for part in poses], C), found),
@@ -96,7 +98,7 @@ def verdict(
             of_rows.late(*delay(poses, C)),
             of_rows.timing(timing(poses, C)),
             of_rows.at_rest(unsettled(parts, C)),
-            of_rows.gear(gains(poses, C), ratios(poses, C), fit),
+            of_rows.gear(moved_more, ratios(poses, C), fit, backward(moved_more, fit)),
             of_rows.axes(strains(poses, C)),
             of_rows.resolution(rounding(parts, fit.model.robot), fit),
         )

@@ -1117,3 +1117,18 @@ def test_harmonics_that_nearly_are_a_gain_are_no_gear_of_another_ratio(cell: Cel
         found = gains(parts, C)
         assert set(found) == set(names)
         assert all(not abs(gain.t) > 4.0 for gain in found.values())
+
+
+@pytest.mark.parametrize("half", [0.1, 0.3])
+def test_a_joint_that_moved_little_with_the_wrong_sign_is_named(half: float) -> None:
+    """A tool behind its axis does nearly the same, and a fit takes it."""
+    cell = Cell()
+    q = cell.draw(80)
+    q[:, 5] *= half / np.abs(q[:, 5]).max()
+    told = q * (1.0, 1.0, 1.0, 1.0, 1.0, -1.0)
+    for readings, wrong in ((told, True), (q, False)):
+        data = cell.measured(q, readings)
+        found = calib.assess(calib.identify(cell.model, data.subset(range(60))), data.subset(range(60, 80)))
+        (check,) = (check for check in found.checks if check.name == "gear")
+        assert check.passed != wrong
+        assert ("'wrist_3_joint' seems to be read with the wrong sign" in check.sentence) == wrong

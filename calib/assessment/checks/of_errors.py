@@ -1,6 +1,7 @@
 """Checks of the errors: whether they became smaller, and those of held-out rows are as predicted."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -9,10 +10,12 @@ from calib.assessment.checks.of_fit import ROUNDING, small_sigma
 from calib.assessment.effects import memory
 from calib.assessment.gain import Gain, gain
 from calib.assessment.judged import NOTHING, Check, JudgedSet
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, read_only
 from calib.foundations.chance import bound, exceeded
+from calib.foundations.errors import PoseError
 from calib.foundations.linear import spread
 from calib.identification.fit import Fit
+from calib.identification.identify import residuals_of
 from calib.identification.repeats import by_pose
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors, residual_errors, row_freedom, row_noise
@@ -119,10 +122,10 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
     if best > limit and not worse:
         said = f"Errors are smaller than before calibration by {best:.2g} standard errors."
         return Check.of("improvement", best, limit, True, said, least=True)
-    if still:
+    if still and _hardly_changed(fit):
         said = (
             "Base and tool alone explain the measurements: the deviations of the robot that were found change what is "
-            f"predicted of {data} by less than a quarter of what is left."
+            "predicted in the range of the readings by less than a quarter of what is left."
         )
         return Check.idle("improvement", NOTHING, said, least=True)
     # Of what nothing explains, or of rows that belong together no more, nothing is known of the arm either.
@@ -133,6 +136,28 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
         return Check.of("improvement", best, limit, False, said, least=True)
     said = f"Errors are smaller than before calibration by {best:.2g} standard errors, and {limit:.2g} are needed: "
     return Check.of("improvement", best, limit, False, f"{said}the improvement may be chance.{alike}", least=True)
+
+
+def _hardly_changed(fit: Fit) -> bool:
+    """Return whether predictions hardly change in the range of the readings either, where no rows are.
+
+    Of each joint the readings of other rows: on a line of points that base and tool explain, an arm may be any.
+    """
+    rng = np.random.default_rng(0)
+    tables = []
+    for data in (data.at_readings() for data in fit.measurements):
+        readings = read_only(np.column_stack([rng.permutation(column) for column in data.readings.T]))
+        tables.append(replace(data, readings=readings))
+    try:
+        before, after = (residuals_of(fit, tables, machine) for machine in (fit.nominal, fit.machine))
+    except PoseError:  # as where a loop does not close there
+        return False
+    for i, data in enumerate(tables):
+        for noise in (noise for noise in fit.noise if noise.measurements == i):
+            columns = next(q.columns for q in QUANTITIES[data.kind] if q.name == noise.quantity)
+            if np.sqrt(np.mean((after[i] - before[i])[:, columns] ** 2)) > HARDLY * noise.total:
+                return False
+    return True
 
 
 def _grown(found: Gain) -> bool:

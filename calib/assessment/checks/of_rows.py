@@ -159,8 +159,17 @@ def timing(found: Timing) -> Check:
     return Check.judged("timing", value, limit, f"In time, {what}", ": read all joints at once, and unfiltered.")
 
 
-def gear(found: Mapping[str, Effect], followers: Mapping[tuple[str, str], Effect], fit: Fit) -> Check:
-    """Whether a joint moves by more, or less, than it says; ``followers``: than what says how it follows another."""
+def gear(found: Mapping[str, Effect], followers: Mapping[tuple[str, str], Effect], fit: Fit, turned: str = "") -> Check:
+    """Whether a joint moves by more, or less, than it says; ``followers``: than what says how it follows another.
+
+    ``turned``: the joint that moves the other way, if there is one.
+    """
+    if turned:
+        said = (
+            f"{turned!r} seems to be read with the wrong sign: with the other one less is left of the rows. Where a "
+            "joint moves little, a tool on the other side of its axis hides that."
+        )
+        return Check.of("gear", abs(found[turned].value), GEAR, False, said)
     sought = {parameter.name for parameter in fit.parameters}
     told = [
         (one, f"{name!r}", "its reading says: is its gear ratio right")
