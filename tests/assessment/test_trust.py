@@ -216,6 +216,16 @@ def test_nothing_better_than_before_is_not_shown() -> None:
     assert calib.assess(calib.identify(calib.error_model(cell.robot), own), held_out).trusted
 
 
+def test_an_arm_of_which_few_poses_show_little_is_not_trusted_for_that() -> None:
+    """Base and tool explain what was measured in so small a part of its range, and nothing is known of the rest."""
+    cell = Cell()
+    exact = machines.Machine(machines.arm(*UR5), cell.machine.base, cell.machine.tools)
+    q = 0.4 + 0.01 * cell.draw(40)
+    data = exact.measure(cell.robot, q, rng=cell.rng, sigma=5e-5)
+    found = calib.assess(calib.identify(cell.model, data.subset(range(20))), data.subset(range(20, 40)))
+    assert "improvement" in failed(found)
+
+
 TURNTABLE = """<robot name="table"><link name="base"/><link name="tip"/><joint name="turn" type="revolute">
 <parent link="base"/><child link="tip"/><origin xyz="0 0 0.5"/><axis xyz="0 0 1"/>
 <limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""

@@ -22,6 +22,7 @@ from calib.machine.tool_uncertainty import common_errors, residual_errors, row_f
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import End, Measurements
 from calib.measurement.poses import ONE_POSE, both_ends, poses_of
+from calib.robot.sampling import joint_limits
 
 # Of the spread of what was measured. Poor arms leave up to half of it; what does not belong together leaves all.
 LEFT = 0.05
@@ -125,7 +126,7 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
     if still and _hardly_changed(fit):
         said = (
             "Base and tool alone explain the measurements: the deviations of the robot that were found change what is "
-            "predicted in the range of the readings by less than a quarter of what is left."
+            "predicted in the range of the joints by less than a quarter of what is left."
         )
         return Check.idle("improvement", NOTHING, said, least=True)
     # Of what nothing explains, or of rows that belong together no more, nothing is known of the arm either.
@@ -139,15 +140,15 @@ def improvement(fit: Fit, judged: Sequence[JudgedSet]) -> Check:
 
 
 def _hardly_changed(fit: Fit) -> bool:
-    """Return whether predictions hardly change in the range of the readings either, where no rows are.
+    """Return whether predictions hardly change in the range of the joints either, where no rows are.
 
-    Of each joint the readings of other rows: on a line of points that base and tool explain, an arm may be any.
+    A turntable is as its URDF says wherever it turns; of a line of points, which base and tool explain, an arm is not.
     """
-    rng = np.random.default_rng(0)
-    tables = []
-    for data in (data.at_readings() for data in fit.measurements):
-        readings = read_only(np.column_stack([rng.permutation(column) for column in data.readings.T]))
-        tables.append(replace(data, readings=readings))
+    rng, (low, high) = np.random.default_rng(0), joint_limits(fit.robot).T
+    tables = [
+        replace(data.at_readings(), readings=read_only(rng.uniform(low, high, data.readings.shape)))
+        for data in fit.measurements
+    ]
     try:
         before, after = (residuals_of(fit, tables, machine) for machine in (fit.nominal, fit.machine))
     except PoseError:  # as where a loop does not close there
