@@ -113,6 +113,7 @@ def test_titles_are_the_words_before_numbers(folder: Path) -> None:
         ("P2", "1e1", "-2.5", "3.", "4", "5", "6", "8"),
     )
     assert sheet.remarks == ("2 rows as '[ W ] P1 : q = [ 1 , -2.5 ,' (line 1)",)
+    assert made(folder, "q=[1 deg, 2 deg, 3 deg]\n" * 2).titles == ("q_0 [deg]", "q_1 [deg]", "q_2 [deg]")
     sheet = made(folder, "begin\nP1 [1, 2, 3]\nP2 [1, 2]\nP3 [1, 2, 3]\n")
     assert sheet.remarks == ("2 rows as 'P1 [ 1 , 2 , 3 ]' (line 2)", "2 other lines are passed over")
 

@@ -307,6 +307,7 @@ def _titles(tokens: Sequence[_Token], constant: AbstractSet[int]) -> dict[int, s
     other; these are numbered.
     """
     titles: dict[int, str] = {}
+    units: dict[int, str] = {}
     lists: list[tuple[str, list[int]]] = []
     base, at, depth = "", 0, 0  # the last word, the depth of brackets at which it stands, and that of here
     for k, token in enumerate(tokens):
@@ -315,9 +316,9 @@ def _titles(tokens: Sequence[_Token], constant: AbstractSet[int]) -> dict[int, s
             base = ""
         if k in constant:
             word = _plain(token.text)
-            unit = symbol_of(word) if k - 1 in titles else None
-            if unit is not None and titles[k - 1]:
-                titles[k - 1] += f" [{unit}]"
+            unit = symbol_of(word) if titles.get(k - 1) else None
+            if unit is not None:
+                units[k - 1] = unit
             elif token.kind == "word" or word:
                 base, at = word, depth
                 lists.append((base, []))
@@ -332,4 +333,4 @@ def _titles(tokens: Sequence[_Token], constant: AbstractSet[int]) -> dict[int, s
     for word, own in lists:
         if len(own) > 1:
             titles.update(zip(own, of_list(word, len(own)), strict=True))
-    return titles
+    return {k: f"{title} [{units[k]}]" if k in units else title for k, title in titles.items()}
