@@ -118,7 +118,8 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
             "observes",
             f"{where}: {seen.titles(pick.joints.columns)} are joints, and no column says what was measured there",
             (),
-            "a column of the point (x, y, z), of a socket's name, or a length with a target",
+            "a column of the point (x, y, z), of a socket's name, or a length with a target; calib import joins joints "
+            "and points that are in two files",
         )
     target = seen.raw.columns[targets[0]]
     units = _touched(seen, pick, target) if kind == "socket" else (*fits.units_by_limits(seen, pick), "m")
