@@ -10,6 +10,7 @@ from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension
+from calib.foundations.words import listed
 from calib.measurement.columns import numbers, refuse_others, stacked
 from calib.measurement.conditions import conditions
 from calib.measurement.table import APPROACH, TORQUE, Table, read_table
@@ -69,8 +70,8 @@ def touches(table: Table, readings: Sequence[Reading]) -> Touches:
     in one or several places (``target``), touched with a probe whose ball has the diameter ``ball``; with ``group``,
     in several articulations. With neither: cones (``target``), each touched in many articulations.
 
-    Raises MeasurementError when a column is missing, not known, or in a unit of another dimension, and for very many
-    targets.
+    Raises MeasurementError when a column is missing, not known, or in a unit of another dimension, for several tools,
+    and for very many targets.
     """
     columns = table.columns
     kind: TestKind = "cone"
@@ -81,11 +82,15 @@ def touches(table: Table, readings: Sequence[Reading]) -> Touches:
     words, sizes = _WORDS[kind], _SIZES[kind]
     joints: dict[str, Dimension] = {reading.name: reading.dimension for reading in readings}
     if missing := [name for name in (*joints, *sizes, *words) if name not in columns]:
-        listed, there = (", ".join(map(repr, some)) for some in (missing, columns))
-        raise MeasurementError(f"{table.where}: there is no column {listed} of a {kind} test; the columns are {there}.")
+        lacking, there = (", ".join(map(repr, some)) for some in (missing, columns))
+        raise MeasurementError(
+            f"{table.where}: there is no column {lacking} of a {kind} test; the columns are {there}."
+        )
     known = {*joints, *sizes, *words, "group", "direction"} | _PASSED_OVER
     known |= {f"{what}{reading.name}" for what in (APPROACH, TORQUE) for reading in readings}
     refuse_others(table, known, f"a {kind} test")
+    if "tool" in columns and len(tools := dict.fromkeys(map(str, columns["tool"].values))) > 1:
+        raise MeasurementError(f"{table.where}: column 'tool' has {listed(tools)}; a test is of one probe.")
     of_shapes = {name: numbers(table, name, "length") for name in sizes}
     for name, values in of_shapes.items():
         table.refuse(values <= 0.0, lambda _: f"column {name!r} is not positive.")  # noqa: B023 - called at once

@@ -250,6 +250,14 @@ def test_very_many_cones_and_spheres_are_refused(robot: calib.Robot) -> None:
         touches(table_from_arrays(columns), robot.readings)
 
 
+def test_touches_by_several_tools_are_refused(robot: calib.Robot) -> None:
+    """They were taken for touches of one probe, whose place then was that of neither."""
+    columns = {name: np.arange(4.0) for name in JOINTS} | {"target": ["a"] * 4}
+    assert touches(table_from_arrays(columns | {"tool": ["short"] * 4}), robot.readings).kind == "cone"
+    with pytest.raises(MeasurementError, match="column 'tool' has 'short', 'long'; a test is of one probe"):
+        touches(table_from_arrays(columns | {"tool": ["short", "long"] * 2}), robot.readings)
+
+
 def test_the_table_says_whose_probe_it_is(robot: calib.Robot) -> None:
     given = performance(robot.tips, [made(robot, LENGTH)], None, np.zeros(3))
     assert "the probe is the tool of the results" in " ".join(told(given, given).split())
