@@ -176,9 +176,9 @@ def compare_models(
     """Compare models of one robot by grouped cross-validation, all on the same folds.
 
     ``scheme``: the number of folds, or "leave-one-group-out"; when None 10 folds, of more than 5000 rows, or a hundred
-    targets, tools and set-ups, 5. Rows of one pose, of one socket (where there are two or more) and of one word in the
-    column ``group`` stay together; of more than 2000 rows, 2000 are used, taken at random over all groups, the same
-    ones every time. ``choose``: names of the models to which joint terms are added that
+    targets, tools and set-ups, 5. Rows of one pose, of one socket (where there are two or more, in unknown places) and
+    of one word in the column ``group`` stay together; of more than 2000 rows, 2000 are used, taken at random over all
+    groups, the same ones every time. ``choose``: names of the models to which joint terms are added that
     :func:`calib.judging.choose_terms` finds, in every fold anew; when None, that of :func:`nested_models` which stands
     for them. ``model_sigmas`` and ``losses`` as in :func:`calib.identify`; every held-out row counts the same.
     ``progress`` is told each fit, and how many more there are.
