@@ -5,6 +5,14 @@ from collections.abc import Iterator
 
 import pytest
 
+from calib.measurement.streams.joints import JointStream
+
+
+@pytest.fixture
+def exact_rates(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The velocity of a stream is that of the moment, as differences of its residuals show it."""
+    monkeypatch.setattr(JointStream, "mean_rates", JointStream.rates)
+
 
 @pytest.fixture(autouse=True, scope="session")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:

@@ -26,7 +26,6 @@ from calib.foundations.chance import autocorrelations, exceeded
 from calib.measurement.checks import resolutions
 from calib.measurement.measurements import numbered
 from calib.measurement.poses import ONE_POSE
-from calib.measurement.streams.stream import SHIFTS
 from calib.robot.robot import Robot
 
 # Fewer blocks than these give no standard error.
@@ -220,15 +219,13 @@ class Timing(NamedTuple):
     """How readings of a stream keep time among themselves.
 
     ``by_joint``: by how many s what was measured is later than the readings of each joint alone. ``smoothed``, in s^2:
-    half the variance of the times over which readings are means, that of the others alike taken for delay. ``uneven``:
-    the same by how rates change from row to row, where a clock is found: of readings that are rounded, or jitter, that
-    is their error. ``step``: s between rows; nan where not all rows have times, and nothing is said.
+    half the variance of the times over which readings are means, that of the others alike taken for delay. ``step``: s
+    between rows; nan where not all rows have times, and nothing is said.
     """
 
     by_joint: Mapping[str, Effect]
     smoothed: Effect
     step: float
-    uneven: Effect = NO_EFFECT
 
 
 def timing(parts: Sequence[Stretch], C: Array) -> Timing:
@@ -244,16 +241,12 @@ def timing(parts: Sequence[Stretch], C: Array) -> Timing:
         name: effect(usable, [-part.by_joint[:, :, j] * part.rates[:, None, j] for part in usable], C)
         for j, name in enumerate(usable[0].joints)
     }
-    clocked = [part for part in usable if any(role in part.data.uses for role in SHIFTS)]
-    smoothed, uneven = (
-        effect(some, [-np.einsum("ndk,nk->nd", part.by_joint, _accelerations(part, over)) for part in some], C)
-        for some, over in ((usable, _LONGER), (clocked, 0.0))
-    )
-    return Timing(by_joint, smoothed, step, uneven)
+    moved = [-np.einsum("ndk,nk->nd", part.by_joint, _accelerations(part)) for part in usable]
+    return Timing(by_joint, effect(usable, moved, C), step)
 
 
-def _accelerations(part: Stretch, over: float) -> Array:
-    """Return how fast the rates (n, k) change, in a second, on either side ``over`` s, a row at least; 0 beside gaps.
+def _accelerations(part: Stretch) -> Array:
+    """Return how fast the rates (n, k) change, in a second, over a quarter of one or a row; 0 beside gaps.
 
     Of readings that are rounded, or jitter, what changes from row to row is their error, and what rows leave goes with
     that whatever the arm does. Over longer times it is the motion.
@@ -262,7 +255,7 @@ def _accelerations(part: Stretch, over: float) -> Array:
     times = part.data.times[part.row.astype(np.intp)]
     if len(times) < 2:
         return np.zeros_like(part.rates)
-    apart, steps = max(over, part.step), np.diff(times)
+    apart, steps = max(_LONGER, part.step), np.diff(times)
     means = 0.5 * (part.rates[1:] + part.rates[:-1]) * steps[:, None]
     ways = np.concatenate([np.zeros((1, part.rates.shape[1])), np.cumsum(means, axis=0)])
     gaps = np.concatenate([[0], np.cumsum(~((steps > 0.0) & (steps < _GAP * part.step)))])

@@ -41,8 +41,20 @@ def of_clock(problem: Problem, x: np.ndarray, tolerance: float = 1e-6) -> None:
         np.testing.assert_allclose(J[:, :, k], numeric, atol=tolerance * np.abs(numeric).max(), err_msg=name)
 
 
+def test_a_clock_does_not_lean_to_times_between_rounded_readings() -> None:
+    """There errors of two samples are mixed, and less; with the rates at each moment it came out 4 ms off."""
+    for seed in (1, 2):
+        made = streams.streams(seed, swing=0.06, rates=(100.0, 50.0), skew=0.0, sigma=5e-5)
+        rounded = {name: column if name == "time [s]" else np.round(column, 3) for name, column in made.joints.items()}
+        data = calib.measuring.read_stream(made.seen, made.robot, rounded, sigma=5e-5)
+        fit = calib.identify(calib.error_model(made.robot, offsets="all", placements="all"), data)
+        assert fit.converged
+        assert fit.value("clock.offset") == pytest.approx(made.recorded.offset_at(data.stream.middle), abs=5e-4)
+
+
 @pytest.mark.parametrize("observes", ["position", "pose"])
 @pytest.mark.parametrize("terms", [{}, {"harmonics": "all", "gain": "all"}])
+@pytest.mark.usefixtures("exact_rates")
 def test_the_columns_of_a_clock_are_minus_the_velocity(observes: str, terms: dict[str, str]) -> None:
     made = streams.streams(1, seconds=20.0)
     rng = np.random.default_rng(2)
@@ -59,6 +71,7 @@ def test_the_columns_of_a_clock_are_minus_the_velocity(observes: str, terms: dic
     of_clock(problem, x)
 
 
+@pytest.mark.usefixtures("exact_rates")
 def test_the_velocity_follows_closed_loops_and_links_that_carry_targets() -> None:
     robot = machines.load(FOUR_BAR["urdf"], FOUR_BAR["tip"])
     rng = np.random.default_rng(3)
@@ -77,6 +90,7 @@ def test_the_velocity_follows_closed_loops_and_links_that_carry_targets() -> Non
     of_clock(problem, at + rng.uniform(-5e-3, 5e-3, len(at)))
 
 
+@pytest.mark.usefixtures("exact_rates")
 def test_the_velocity_is_that_against_a_target_on_a_moving_link() -> None:
     made, rng, n = tree(), np.random.default_rng(4), len(tree().names)
     t = np.arange(0.0, 3.0, 0.01)

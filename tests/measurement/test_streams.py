@@ -396,6 +396,17 @@ def test_a_latency_is_found_of_the_second_stream_of_a_clock(
     assert same.scalars == first.scalars
 
 
+def test_mean_rates_go_over_the_time_around_and_never_beyond_a_piece() -> None:
+    made = streams.streams(1, seconds=20.0)
+    joints = streams.read(made).stream.joints
+    (begin,), (end,) = joints.starts, joints.ends
+    times = np.array([begin - 1e-3, begin, begin + 0.02, 7.1, end - 0.01, end, end + 1e-3])
+    found = joints.mean_rates(times)
+    np.testing.assert_allclose(found[3], (joints.at(times[3:4] + 0.05) - joints.at(times[3:4] - 0.05))[0] / 0.1)
+    np.testing.assert_allclose(found, joints.rates(times), atol=0.02)
+
+
+@pytest.mark.usefixtures("exact_rates")
 def test_the_column_of_a_latency_is_minus_the_velocity(
     two_of_one_clock: tuple[Streams, dict[str, np.ndarray], dict[str, np.ndarray]],
 ) -> None:

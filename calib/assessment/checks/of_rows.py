@@ -150,19 +150,13 @@ def timing(found: Timing) -> Check:
         for name, one in found.by_joint.items()
     ]
     width = float(np.sqrt(2.0 * max(found.smoothed.value, 0.0)))
-    if width > 0.0:
-        told.append((width, found.smoothed, f"readings seem to be means over times, {width / MS:.2g} ms wide (rms)"))
+    told.append((width, found.smoothed, f"readings seem to be means over times, {width / MS:.2g} ms wide (rms)"))
     # Where one joint is late, others seem so with it: the one that explains most is named.
     sure = [one for one in told if abs(one[1].t) > SURE and one[1].size > SEEN_IN_TIME]
-    if sure:
-        value, _, what = max(sure, key=lambda one: one[1].size)
-        return Check.judged("timing", value, limit, f"In time, {what}", ": read all joints at once, and unfiltered.")
-    width, one = float(np.sqrt(2.0 * max(found.uneven.value, 0.0))), found.uneven
-    if not (abs(one.t) > SURE and one.size > SEEN_IN_TIME):
+    if not sure:
         return Check.idle("timing", limit, "Readings seem to be of one time.")
-    said = "Readings err from row to row, as where they are rounded or jitter, by much of what is left"
-    more = ", and a clock that is found leans to times between them: write more of their digits, or state the clock."
-    return Check.judged("timing", width, limit, said, more)
+    value, _, what = max(sure, key=lambda one: one[1].size)
+    return Check.judged("timing", value, limit, f"In time, {what}", ": read all joints at once, and unfiltered.")
 
 
 def gear(found: Mapping[str, Effect], followers: Mapping[tuple[str, str], Effect], fit: Fit, turned: str = "") -> Check:

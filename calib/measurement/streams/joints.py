@@ -70,6 +70,17 @@ class JointStream:
         """Return the rates (N, k) of the readings, per s, at times (N,): the exact derivative of :meth:`at`."""
         return self._evaluated(times, 1)
 
+    def mean_rates(self, times: Array, span: float = SPAN) -> Array:
+        """Return the mean rates (N, k) of the readings, per s, over ``span`` s to each side of times (N,).
+
+        Errors of the readings at a time, which :meth:`rates` follows, have no part in them. Beyond its end a piece is
+        left out.
+        """
+        piece = self._piece(times)
+        after = np.minimum(times + span, np.maximum(self.ends[piece], times + 0.1 * span))
+        before = np.maximum(times - span, np.minimum(self.starts[piece], times - 0.1 * span))
+        return np.asarray((self.at(after) - self.at(before)) / (after - before)[:, None])
+
     def accelerations(self, times: Array, span: float = SPAN) -> Array:
         """Return accelerations (N, k) per s^2 at times (N,): weighted means over ``span`` s to each side.
 

@@ -89,6 +89,10 @@ class Stream:
         """Return how fast the readings change (n, k), per s of the controller's clock."""
         return self.joints.rates(self.times(shifts, rows))
 
+    def mean_rates(self, shifts: Mapping[str, float], rows: slice | IntArray | BoolArray = slice(None)) -> Array:
+        """Return how fast the readings change on the mean (n, k), per s, around the time of each row."""
+        return self.joints.mean_rates(self.times(shifts, rows))
+
     def motion(self, shifts: Mapping[str, float], rows: slice | IntArray | BoolArray = slice(None)) -> Array:
         """Return rates and accelerations (n, 2, k) of the readings; zeros of joints whose samples do not show them."""
         times, shown = self.times(shifts, rows), self.joints.accelerates
