@@ -20,7 +20,8 @@ from calib.measurement.measurements import Measurements
 # Standard errors of a gain below -1, from which a sign is tried: few sound sessions have one.
 _TRIED = 2.0
 # By so much, in chi-squared, less must be left: of two machines of as many parameters one is then 150 times as likely.
-_SURELY = 10.0
+# And by such a share: what gears leave of many rows, which no machine explains, hardly follows a sign.
+_SURELY, _SHARE = 10.0, 0.1
 
 
 def backward(gains: Mapping[str, Effect], fit: Fit) -> str:
@@ -38,7 +39,8 @@ def backward(gains: Mapping[str, Effect], fit: Fit) -> str:
         return ""
     pairs = zip(fit.noise, turned.noise, strict=True)
     gained = [then.degrees_of_freedom * (then.total**2 / now.total**2 - 1.0) for then, now in pairs if now.total > 0.0]
-    return name if sum(gained) > _SURELY else ""
+    freedom = sum(noise.degrees_of_freedom for noise in fit.noise)
+    return name if sum(gained) > max(_SURELY, _SHARE * freedom) else ""
 
 
 def _turned(data: Measurements, name: str) -> Measurements:
