@@ -222,9 +222,9 @@ class Rates:
     def _clock(self, data: Measurements, rows: slice) -> "_Clocked | None":
         """Return how the moments of rows follow the parameters, None where they are no stream or no clock is free.
 
-        By mean rates: what rounded readings err by at a moment changes with it, and is least in the middle between two
-        samples. By the rates there, a clock would be found that leans to it. Mean rates have no part in these errors, as
-        readings at which a tool is at its target have none (:mod:`calib.identification.stances`).
+        By mean rates: what rounded readings err by changes from moment to moment, and is least in the middle between
+        two samples. By the rates there, a clock would be found that leans to it. Mean rates have no part in these
+        errors, as readings at which a tool is at its target have none (:mod:`calib.identification.stances`).
         """
         if data.stream is None or not (roles := [role for role in SHIFTS if role in data.uses]):
             return None
