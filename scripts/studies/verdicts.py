@@ -229,8 +229,8 @@ def in_motion(lines: Sequence[dict[str, Any]]) -> list[str]:
     count = Counter(line["layout"] for line in lines)
     said = ", ".join(f"{number} {WORDS[name]}" for name, number in sorted(count.items()))
     return [
-        f"## In motion, and through a lens\n\n{len(lines)} more sound sessions: {said}. {len(doubted)} of them were "
-        "doubted or refused.\n",
+        f"## In motion, and through a lens\n\n{len(lines)} more sound sessions: {said}. Doubted or refused: "
+        f"{len(doubted)}.\n",
         *(f"- {WORDS[line['layout']]} ({line['robot']}): {', '.join(line['failed'])}" for line in doubted),
         *([""] if doubted else []),
         f"From these two thresholds come. A delay in rows with times counts from {SURE:g} standard errors and from "
@@ -251,8 +251,8 @@ def poor_arms(lines: Sequence[dict[str, Any]]) -> list[str]:
     said = (
         f"## Poor arms\n\n{len(lines)} sessions of arms whose gears wobble by {low:.0f} to {high:.0f} mrad, as those "
         f"for hobbyists do. They leave {left.min():.2g} to {left.max():.2g} of the spread, half of them more than "
-        f"{np.median(left):.2g}, and as much in rows held out as was predicted for these. {len(doubted)} of them were "
-        "doubted or refused.\n"
+        f"{np.median(left):.2g}, and as much in rows held out as was predicted for these. Doubted or refused: "
+        f"{len(doubted)}.\n"
     )
     return [said, *(f"- {line['robot']}: {', '.join(line['failed'])}" for line in doubted), *([""] if doubted else [])]
 
