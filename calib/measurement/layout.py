@@ -199,9 +199,15 @@ def is_number_of_name(name: str, inside: str) -> bool:
     return inside.strip().isdigit() and name.rstrip() == name
 
 
-def are_whole(cells: Sequence[str]) -> bool:
-    """Return whether what a separator has parted are whole cells: no bracket is left open in one."""
-    return all(cell.count(mark) == cell.count(end) for cell in cells for end, mark in BRACKETS.items())
+def opens_list(word: str) -> bool:
+    """Return whether a cell begins a list of numbers in brackets that it does not end: a separator has torn it apart.
+
+    >>> opens_list("j:{2.6"), opens_list("[ -1"), opens_list("[1 2]"), opens_list("1)"), opens_list("x [mm]")
+    (True, True, False, False, False)
+    """
+    at = max(map(word.rfind, BRACKETS.values()))
+    inside = word[at + 1 : at + 100].lstrip()
+    return at > max(map(word.rfind, BRACKETS)) and (inside[:1].isdigit() or inside[:1] in ("-", "+", "."))
 
 
 def of_list(name: str, count: int) -> list[str]:

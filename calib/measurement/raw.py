@@ -1,7 +1,6 @@
 """A table of somebody else as it is: titles, units where they are written, and the numbers of rows spread over it."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, symbol_of
 from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats.statements import are_in
-from calib.measurement.layout import are_whole, is_number, is_number_of_name, layout, name_and_unit
+from calib.measurement.layout import is_number, is_number_of_name, layout, name_and_unit, opens_list
 
 # Enough to tell a unit from another; a table may have a million rows.
 _MOST_ROWS = 400
@@ -91,18 +90,13 @@ def _whole(data: bytes, where: str) -> RawTable:
                 k += 1
     rows = [cells(line.text, form.separator, f"{where}:{line.number}") for line in picked]
     refuse_ragged(rows, len(form.titles), picked, where)
-    if any(_is_torn(words) for words in zip(*rows, strict=True)):
+    if any(all(map(opens_list, words)) for words in zip(*rows, strict=True)):
         raise of_lists(where)
     columns = [
         _column(title, unit, words, form.separator)
         for title, unit, words in zip(form.titles, form.units, zip(*rows, strict=True), strict=True)
     ]
     return RawTable(where, tuple(columns), count, form.remarks, form.named)
-
-
-def _is_torn(words: Sequence[str]) -> bool:
-    """Return whether a separator has parted lists in brackets: each word has one that is left open."""
-    return not any(are_whole([word]) for word in words)
 
 
 def _column(title: str, unit: str, words: tuple[str, ...], separator: str) -> RawColumn:

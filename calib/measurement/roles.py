@@ -390,7 +390,7 @@ def joints_by_order(table: RawTable, count: int, known: Roles) -> list[Joints]:
 
 def _changes(table: RawTable, column: int) -> bool:
     numbers = table.columns[column].numbers
-    return numbers is None or bool(np.nanmin(numbers) < np.nanmax(numbers))
+    return numbers is None or len(set(numbers[np.isfinite(numbers)].tolist())) > 1
 
 
 def numbered_columns(table: RawTable) -> list[int]:

@@ -164,3 +164,23 @@ def test_a_table_with_brackets_in_notes_stays_a_table(folder: Path) -> None:
     )
     assert sheet.titles == ("n", "x", "note")
     assert sheet.rows[0] == ("1", "2.5", "in the box (1 2 3)")
+
+
+def test_cells_that_only_close_a_bracket_are_no_torn_lists(folder: Path) -> None:
+    seen = session()
+    names = [f"{k})" for k in range(40)]
+    file = folder / "t.csv"
+    file.write_text(text(["Nr", *(f"J{k}" for k in range(1, 7)), "X", "Y", "Z"], [
+        names, np.degrees(seen.readings), 1e3 * seen.position
+    ]))  # fmt: skip
+    found = calib.measuring.propose(UR10, [file])
+    assert not found.questions, found.questions
+    assert found.tables[0].columns.names["x [mm]"] == "X"
+    assert made(folder, "nr,q\n1),[1 2 3]\n2),[1 2 4]\n").titles == ("nr", "q_0", "q_1", "q_2")
+
+
+def test_numbers_beyond_floats_are_none_that_change(folder: Path) -> None:
+    file = folder / "t.csv"
+    file.write_text("q0,q1,q2,q3,q4,q5,q6,x,y,z\n" + "1e999,1,2,3,4,5,6,7,8,9\n" * 3)
+    with pytest.raises(calib.CalibError):
+        calib.measuring.propose(UR10, [file]).job()

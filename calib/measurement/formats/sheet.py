@@ -11,7 +11,7 @@ from calib.foundations.files import read_bytes
 from calib.foundations.words import counted, listed, shown
 from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats import arrays, logs, records, statements, workbook
-from calib.measurement.layout import are_whole, is_number, layout, name_and_unit, with_point, with_units
+from calib.measurement.layout import is_number, layout, name_and_unit, opens_list, with_point, with_units
 
 _MOST_COLUMNS = 1000
 # Files other than plain tables are held as cells of text: some hundred bytes each.
@@ -132,8 +132,8 @@ def _of_text(data: bytes, where: str, part: str | None) -> Sheet:
 
 def _is_whole(sheet: Sheet) -> bool:
     """Return whether a table has not torn lists apart, nor taken the first one for its header."""
-    every = (sheet.titles, *sheet.rows)
-    return all(map(are_whole, every)) and not any(map(statements.list_of, sheet.titles))
+    torn = any(any(map(opens_list, row)) for row in sheet.rows)
+    return not torn and not any(map(statements.list_of, sheet.titles))
 
 
 def _of_table(data: bytes, where: str) -> Sheet:
