@@ -132,7 +132,7 @@ IDLE = [
     ("plan --candidates validation.csv --seed 3", "--seed: candidates are drawn at random"),
     ("plan --observes pixels --tool '1 2 3 mm' --misfit '1 mm'", "--tool, --misfit: not of photographs;"),
     ("board --kind chessboard --squares 7x6 --marker '10 mm'", "--marker: a chessboard has no markers."),
-    ("import validation.csv --topic x", "--topic: of a recording, or of a log of rigid bodies,"),
+    ("import validation.csv --topic x", "--topic: of a recording, a log of rigid bodies, or lines with"),
     ("import validation.csv --by order", "--by: joins two files, and this is one."),
     ("import validation.csv --tip a --camera-on floor", "--tip, --camera-on: of photographs alone:"),
     ("import validation.csv --robot arm_cmm.urdf --stack a", "--stack: not with --robot,"),

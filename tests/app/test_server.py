@@ -251,8 +251,17 @@ def test_tables_of_one_name_in_two_formats_are_two_tables(tmp_path: Path, monkey
     monkeypatch.chdir(tmp_path)
     for name, x in (("poses.json", 1), ("Poses.jsonl", 2), ("more.json", 3)):
         Path(name).write_text(json.dumps({"x": x, "y": x}) + "\n")
-    found = _as_texts(["poses.json", "Poses.jsonl", "more.json", "own.csv"])
-    assert found == ["tables/poses.json.csv", "tables/Poses.jsonl.csv", "tables/more.csv", "own.csv"]
+    Path("own.csv").write_text("x,y\n1,2\n")
+    Path("lists.txt").write_text("P1 [4, 5, 6]\nP2 [7, 8, 9]\n")
+    found = _as_texts(["poses.json", "Poses.jsonl", "more.json", "own.csv", "lists.txt"])
+    assert found == [
+        "tables/poses.json.csv",
+        "tables/Poses.jsonl.csv",
+        "tables/more.csv",
+        "own.csv",
+        "tables/lists.csv",
+    ]
+    assert Path(found[-1]).read_text().splitlines()[-1] == "P2,7,8,9"
     values = [Path(name).read_text().splitlines()[-1][0] for name in found[:3]]
     assert values == ["1", "2", "3"]
 
