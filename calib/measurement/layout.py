@@ -8,7 +8,6 @@ import string
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import NUMBER, symbol_of
@@ -26,7 +25,6 @@ _MARKS = re.compile(r"^\s*(?:#|//|%)+\s*")
 _SUFFIXES = frozenset(("deg", "rad", "mrad", "mm", "m", "cm", "um", "px", "degc"))
 # What lists of joints are called, of which three are no point.
 _JOINTS = re.compile(r"q(?![a-z])|joint|angle|theta", re.IGNORECASE)
-BRACKETS = MappingProxyType({"]": "[", ")": "(", "}": "{"})
 _APART = "_" + string.whitespace
 # No two parts of one pattern take the same characters: headers may be long, and all blanks.
 _BEHIND = (
@@ -197,17 +195,6 @@ def is_number_of_name(name: str, inside: str) -> bool:
     (True, False, False)
     """
     return inside.strip().isdigit() and name.rstrip() == name
-
-
-def opens_list(word: str) -> bool:
-    """Return whether a cell begins a list of numbers in brackets that it does not end: a separator has torn it apart.
-
-    >>> opens_list("j:{2.6"), opens_list("[ -1"), opens_list("[1 2]"), opens_list("1)"), opens_list("x [mm]")
-    (True, True, False, False, False)
-    """
-    at = max(map(word.rfind, BRACKETS.values()))
-    inside = word[at + 1 : at + 100].lstrip()
-    return at > max(map(word.rfind, BRACKETS)) and (inside[:1].isdigit() or inside[:1] in ("-", "+", "."))
 
 
 def of_list(name: str, count: int) -> list[str]:

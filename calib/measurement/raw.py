@@ -9,8 +9,8 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, symbol_of
 from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
-from calib.measurement.formats.statements import are_in
-from calib.measurement.layout import is_number, is_number_of_name, layout, name_and_unit, opens_list
+from calib.measurement.formats.statements import are_in, opens_list
+from calib.measurement.layout import is_number, is_number_of_name, layout, name_and_unit
 
 # Enough to tell a unit from another; a table may have a million rows.
 _MOST_ROWS = 400

@@ -9,6 +9,7 @@ from calib.job.chains import Chain, behind
 from calib.job.foreign.answers import Pick, ask, run_of
 from calib.job.foreign.seen import Seen
 from calib.measurement import roles
+from calib.measurement.formats.statements import begins_list
 from calib.measurement.layout import is_number
 from calib.measurement.raw import RawColumn, of_lists
 
@@ -17,8 +18,6 @@ from calib.measurement.raw import RawColumn, of_lists
 _MOST_READ, _MOST_JOINTS_READ = 48, 1000
 # Joints beyond an arm.
 _FINGER = re.compile(r"finger|grip|hand|jaw|knuckle|thumb|claw|palm", re.IGNORECASE)
-# Numbers in brackets, or their beginning.
-_OF_LIST = re.compile(r"[\[({]+\s*[-+.\d]")
 # A run of numbered columns that may be the end of a longer arm.
 _FEWEST_JOINTS = 4
 
@@ -179,7 +178,7 @@ def no_joints(seen: Seen) -> Exception:
     """Return what to raise where no column is a joint."""
     for column, wrong in _not_numbers(_of_joints(seen)):
         return _no_number(seen, column, wrong, "joint")
-    if any(_OF_LIST.match(text) for column in seen.raw.columns for text in (column.title, *column.words[:1])):
+    if any(begins_list(text) for column in seen.raw.columns for text in (column.title, *column.words[:1])):
         return of_lists(seen.raw.where)
     there = listed([column.title for column in seen.raw.columns])
     if not seen.arms:

@@ -11,7 +11,7 @@ from calib.foundations.files import read_bytes
 from calib.foundations.words import counted, listed, shown
 from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats import arrays, logs, records, statements, workbook
-from calib.measurement.layout import is_number, layout, name_and_unit, opens_list, with_point, with_units
+from calib.measurement.layout import is_number, layout, name_and_unit, with_point, with_units
 
 _MOST_COLUMNS = 1000
 # Files other than plain tables are held as cells of text: some hundred bytes each.
@@ -55,8 +55,9 @@ def _of_one_line(name: str) -> str:
 def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
     """Return the sheet of a file: text, records (.jsonl, YAML, JSON), a workbook (.xlsx), arrays (.npz, .mat).
 
-    Logs of UR's RTDE and of Motive become tables with ``time [s]``; ``part``: the rigid body of these. Raises
-    MeasurementError when it cannot be read, or holds no rows.
+    Logs of UR's RTDE and of Motive become tables with ``time [s]``. ``part``: the rigid body of these, or a word of the
+    lines that are meant where numbers stand in brackets. Raises MeasurementError when it cannot be read, or holds no
+    rows.
     """
     path, where = Path(path), str(path)
     # Each gives titles, cells and remarks.
@@ -132,7 +133,7 @@ def _of_text(data: bytes, where: str, part: str | None) -> Sheet:
 
 def _is_whole(sheet: Sheet) -> bool:
     """Return whether a table has not torn lists apart, nor taken the first one for its header."""
-    torn = any(any(map(opens_list, row)) for row in sheet.rows)
+    torn = any(any(map(statements.opens_list, row)) for row in sheet.rows)
     return not torn and not any(map(statements.list_of, sheet.titles))
 
 

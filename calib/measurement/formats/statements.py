@@ -12,13 +12,14 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
+from types import MappingProxyType
 from typing import NamedTuple
 
 from calib.foundations.csv_text import text_of
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import symbol_of
 from calib.foundations.words import counted, shown
-from calib.measurement.layout import BRACKETS, is_number, of_list
+from calib.measurement.layout import is_number, of_list
 
 # Words, numbers and signs take some hundred bytes each.
 _LARGEST = 5_000_000
@@ -31,6 +32,7 @@ _DEEPEST = 16
 _MOST_TOLD = 3
 # What begins a comment in programs and logs: Python's, C's, MATLAB's, RAPID's and KRL's.
 _COMMENTS = ("#", "//", "%", "!", ";")
+_PAIRS = MappingProxyType({"]": "[", ")": "(", "}": "{"})
 # What RAPID writes for an axis that is not there.
 _NO_AXIS = 9e9
 _NUMBER = r"(?<![\w.])[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.])"
@@ -79,9 +81,9 @@ def _lists(tokens: Iterable[_Token]) -> int:
     """Return how many brackets have as many numbers as a point, in them and not in others in them."""
     found, counts = 0, list[int]()
     for token in tokens:
-        if token.text in BRACKETS.values():
+        if token.text in _PAIRS.values():
             counts.append(0)
-        elif token.text in BRACKETS and counts:
+        elif token.text in _PAIRS and counts:
             found += counts.pop() >= _FEWEST
         elif token.kind == "number" and counts:
             counts[-1] += 1
@@ -102,12 +104,12 @@ def from_statements(data: bytes, where: str, part: str | None = None) -> _Rows |
     others = len(statements) - len(with_lists)
     if part is not None:
         with_lists = [one for one in with_lists if one.has_word(part)]
-    every = [row for one in with_lists for row in _rows_of(one, len(with_lists) == 1)]
-    if part is not None and len(kinds := _kinds(every)) > 1:
-        every = [row for kind in kinds for row in kind if row.has_word(part)]
-    if not every:
-        if part is not None:
+        if not with_lists:
             raise MeasurementError(f"{where}: no line with numbers in brackets has the word {shown(part)}.")
+    every = [row for one in with_lists for row in _rows_of(one, len(with_lists) == 1)]
+    if part is not None:  # lists in a list have the word of what they are in, or none
+        every = [row for row in every if row.has_word(part)] or every
+    if not every:
         return None
     kinds = _kinds(every)
     if len(kinds) > 1:
@@ -154,10 +156,26 @@ def list_of(cell: str) -> list[str] | None:
     >>> list_of("[0.1, -2, 3e-1]"), list_of("(1 2)"), list_of("1, 2"), list_of("[mm]")
     (['0.1', '-2', '3e-1'], ['1', '2'], None, None)
     """
-    if not cell or cell[0] not in BRACKETS.values() or cell[-1] not in BRACKETS:
+    if not cell or cell[0] not in _PAIRS.values() or cell[-1] not in _PAIRS:
         return None
     found = re.split(r"[\s,;\[\](){}]+", cell.strip("[](){} \t"))
     return found if len(found) > 1 and all(is_number(one, ",") for one in found) else None
+
+
+def opens_list(word: str) -> bool:
+    """Return whether a cell begins a list of numbers in brackets that it does not end: a separator has torn it apart.
+
+    >>> opens_list("j:{2.6"), opens_list("[ -1"), opens_list("[1 2]"), opens_list("1)"), opens_list("x [mm]")
+    (True, True, False, False, False)
+    """
+    at = max(map(word.rfind, _PAIRS.values()))
+    inside = word[at + 1 : at + 100].lstrip()
+    return at > max(map(word.rfind, _PAIRS)) and (inside[:1].isdigit() or inside[:1] in ("-", "+", "."))
+
+
+def begins_list(text: str) -> bool:
+    """Return whether a cell, or a title, is a list of numbers in brackets, or the beginning of one."""
+    return opens_list(text) or list_of(text) is not None
 
 
 def _statements(text: str, where: str) -> Iterator[_Statement]:
@@ -169,11 +187,11 @@ def _statements(text: str, where: str) -> Iterator[_Statement]:
             continue
         for token in _tokens(line, number):
             tokens.append(token)
-            if token.text in BRACKETS.values():
+            if token.text in _PAIRS.values():
                 open_.append(token)
                 if len(open_) > _DEEPEST:
                     raise MeasurementError(f"{where}:{number}: has brackets in more than {_DEEPEST} others.")
-            elif token.text in BRACKETS and open_:
+            elif token.text in _PAIRS and open_:
                 open_.pop()
         if tokens and not open_:
             yield _Statement(_without_comment(tokens))
@@ -213,10 +231,10 @@ def _rows_of(statement: _Statement, is_only: bool) -> list[_Statement]:
     open_: list[int] = []
     depth: dict[int, int] = {}
     for k, token in enumerate(tokens):
-        if token.text in BRACKETS.values():
+        if token.text in _PAIRS.values():
             depth[k] = len(open_)
             open_.append(k)
-        elif token.text in BRACKETS and open_:
+        elif token.text in _PAIRS and open_:
             begin = open_.pop()
             inside.setdefault(open_[-1] if open_ else -1, []).append((begin, k + 1))
     found = {parent: rows for parent, rows in inside.items() if parent >= 0 and _are_rows(tokens, parent, rows)}
@@ -247,9 +265,9 @@ def _are_rows(tokens: Sequence[_Token], parent: int, rows: Sequence[tuple[int, i
 def _name_before(tokens: Sequence[_Token], at: int) -> tuple[_Token, ...]:
     """Return the name to which something is set: what stands before the last equals sign, or colon, before it."""
     for k in range(at - 1, 0, -1):
-        if tokens[k].text in BRACKETS:
+        if tokens[k].text in _PAIRS:
             break
-        if tokens[k].text in ("=", ":") and tokens[k - 1].kind in ("word", "text"):
+        if tokens[k].text in ("=", ":") and tokens[k - 1].kind == "word":
             return (tokens[k - 1],)
     return ()
 
@@ -311,8 +329,8 @@ def _titles(tokens: Sequence[_Token], constant: AbstractSet[int]) -> dict[int, s
     lists: list[tuple[str, list[int]]] = []
     base, at, depth = "", 0, 0  # the last word, the depth of brackets at which it stands, and that of here
     for k, token in enumerate(tokens):
-        depth += (token.text in BRACKETS.values()) - (token.text in BRACKETS)
-        if token.text in BRACKETS and depth <= at:
+        depth += (token.text in _PAIRS.values()) - (token.text in _PAIRS)
+        if token.text in _PAIRS and depth <= at:
             base = ""
         if k in constant:
             word = _plain(token.text)
@@ -322,7 +340,7 @@ def _titles(tokens: Sequence[_Token], constant: AbstractSet[int]) -> dict[int, s
             elif token.kind == "word" or word:
                 base, at = word, depth
                 lists.append((base, []))
-        elif token.kind in ("word", "text"):
+        elif token.kind == "word":
             titles[k] = "name"
         elif token.kind == "number":
             titles[k] = base
