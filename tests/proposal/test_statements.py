@@ -141,6 +141,10 @@ def test_lists_of_a_program_are_told_apart_by_their_names(folder: Path) -> None:
         made(folder, program)
     assert made(folder, program, "q").titles == ("q_0", "q_1", "q_2", "q_3")
     assert made(folder, program, "p").rows[2] == ("7", "8", "9")
+    alike = program.replace(", 4]", "]").replace(", 5]", "]").replace("5, 6]]", "5]]")
+    with pytest.raises(calib.MeasurementError, match="several kinds of lines"):
+        made(folder, alike)
+    assert made(folder, alike, "p").rows[2] == ("7", "8", "9")
 
 
 @pytest.mark.parametrize(

@@ -267,7 +267,7 @@ def _name_before(tokens: Sequence[_Token], at: int) -> tuple[_Token, ...]:
     for k in range(at - 1, 0, -1):
         if tokens[k].text in _PAIRS:
             break
-        if tokens[k].text in ("=", ":") and tokens[k - 1].kind == "word":
+        if tokens[k].text in ("=", ":") and tokens[k - 1].kind in ("word", "text"):
             return (tokens[k - 1],)
     return ()
 
@@ -279,7 +279,11 @@ def _kinds(every: Sequence[_Statement]) -> list[list[_Statement]]:
         shapes.setdefault(statement.shape, []).append(statement)
     kinds = []
     for shape, alike in shapes.items():
-        labels = [k for k, kind in enumerate(shape) if kind == "word" and _is_label([s.tokens[k].text for s in alike])]
+        labels = [
+            k
+            for k, kind in enumerate(shape)
+            if kind in ("word", "text") and _is_label([s.tokens[k].text for s in alike])
+        ]
         found: dict[tuple[str, ...], list[_Statement]] = {}
         for statement in alike:
             found.setdefault(tuple(statement.tokens[k].text for k in labels), []).append(statement)
@@ -340,7 +344,7 @@ def _titles(tokens: Sequence[_Token], constant: AbstractSet[int]) -> dict[int, s
             elif token.kind == "word" or word:
                 base, at = word, depth
                 lists.append((base, []))
-        elif token.kind == "word":
+        elif token.kind in ("word", "text"):
             titles[k] = "name"
         elif token.kind == "number":
             titles[k] = base
