@@ -6,16 +6,14 @@ reading. A fit anew says whether that is so.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
 from calib.assessment.effects import Effect
-from calib.foundations.arrays import read_only
 from calib.foundations.errors import CalibError
 from calib.identification.fit import Fit
 from calib.identification.identify import identify
-from calib.measurement.measurements import Measurements
+from calib.identification.sanity import otherwise_read
 
 # Standard errors of a gain below -1, from which a sign is tried: few sound sessions have one.
 _TRIED = 2.0
@@ -33,17 +31,12 @@ def backward(gains: Mapping[str, Effect], fit: Fit) -> str:
     if not likely or any(data.stream is not None for data in fit.measurements):
         return ""
     name = max(likely, key=lambda name: likely[name].size)
+    turn = otherwise_read(np.array([-1.0 if one.name == name else 1.0 for one in fit.model.robot.readings]))
     try:
-        turned = identify(fit.model, [_turned(data, name) for data in fit.measurements], losses=fit.losses)
+        turned = identify(fit.model, [turn(data) for data in fit.measurements], losses=fit.losses)
     except CalibError:  # such as of an arm that cannot take these poses
         return ""
     pairs = zip(fit.noise, turned.noise, strict=True)
     gained = [then.degrees_of_freedom * (then.total**2 / now.total**2 - 1.0) for then, now in pairs if now.total > 0.0]
     freedom = sum(noise.degrees_of_freedom for noise in fit.noise)
     return name if sum(gained) > max(_SURELY, _SHARE * freedom) else ""
-
-
-def _turned(data: Measurements, name: str) -> Measurements:
-    signs = np.where([reading == name for reading in data.reading_names], -1.0, 1.0)
-    other = None if data.other is None else replace(data.other, readings=read_only(data.other.readings * signs))
-    return replace(data, readings=read_only(data.readings * signs), other=other)

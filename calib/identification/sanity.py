@@ -459,28 +459,28 @@ def _of_readings(readings: Sequence[Reading], *, units: bool) -> Iterator[Mistak
     """Yield what readings may have wrong; ``units``: also those by which a robot hardly moves and touches one place."""
     ones = np.eye(len(readings))
     for reading, one in zip(readings, ones, strict=True):
-        yield Mistake("flipped-sign", f"{reading.name!r} is read with the wrong sign", _read(1.0 - 2.0 * one))
+        yield Mistake("flipped-sign", f"{reading.name!r} is read with the wrong sign", otherwise_read(1.0 - 2.0 * one))
     for i, j in combinations(range(len(readings)), 2):
         if readings[i].dimension == readings[j].dimension:
             a, b = readings[i].name, readings[j].name
             swap = ones.copy()
             swap[[i, j]] = swap[[j, i]]
-            yield Mistake("swapped-joints", f"the columns {a!r} and {b!r} are swapped", _read(swap=swap))
+            yield Mistake("swapped-joints", f"the columns {a!r} and {b!r} are swapped", otherwise_read(swap=swap))
     for i, (a, b) in enumerate(pairwise(reading.name for reading in readings)):
         for sign in (1.0, -1.0) if readings[i].dimension == readings[i + 1].dimension == "angle" else ():
             # An elbow that is read against the floor, a wrist that is driven through another one.
             follows = ones.copy()
             follows[i, i + 1] = sign
             says = f"{a!r} and {b!r} are coupled: the joint of {b!r} stands at {b} {'+' if sign > 0.0 else '-'} {a}"
-            yield Mistake("coupled-joints", says, _read(swap=follows))
+            yield Mistake("coupled-joints", says, otherwise_read(swap=follows))
     for reading, one in zip(readings, ones, strict=True):
         for degrees in ("+90", "-90", "180") if reading.dimension == "angle" else ():
             says = f"{reading.name!r} is read from another zero and needs {degrees} deg"
-            yield Mistake("shifted-zero", says, _read(offset=float(degrees) * DEG * one))
+            yield Mistake("shifted-zero", says, otherwise_read(offset=float(degrees) * DEG * one))
     for dimension, factor, says in _READING_UNITS if units else ():
         its = np.array([reading.dimension == dimension for reading in readings])
         if its.any():
-            yield Mistake("reading-unit", says, _read(np.where(its, factor, 1.0)))
+            yield Mistake("reading-unit", says, otherwise_read(np.where(its, factor, 1.0)))
 
 
 def _of_frames(model: ErrorModel, sets: Sequence[Measurements], camera_on: CameraPlace | None) -> Iterator[Mistake]:
@@ -555,7 +555,9 @@ def _camera_elsewhere(camera_on: CameraPlace) -> Mistake:
     return Mistake("camera-on", says[camera_on], _inverted)
 
 
-def _read(factor: Array | float = 1.0, offset: Array | float = 0.0, swap: Array | None = None) -> Mend:
+def otherwise_read(factor: Array | float = 1.0, offset: Array | float = 0.0, swap: Array | None = None) -> Mend:
+    """Return what reads joints otherwise: columns swapped by a matrix (nr, nr), times factors (nr,), and moved."""
+
     def mend(data: Measurements) -> Measurements:
         def right(readings: Array) -> Array:
             return read_only((readings if swap is None else readings @ swap) * factor + offset)

@@ -30,6 +30,10 @@ _COMMENT = re.compile(r"\s*(?:#|//|%(?:$|[\s%=-]))")
 _LINE_END = re.compile(rb"\r\n?|\n")
 
 
+# Titles, cells and remarks: what files of all formats become.
+Rows = tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]
+
+
 class Line(NamedTuple):
     """A line that is neither blank nor a comment, and its number from 1; ``ended``: by a line end, not the file's."""
 

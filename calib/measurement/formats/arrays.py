@@ -20,6 +20,7 @@ import scipy
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
 from calib.foundations.words import counted, listed
+from calib.measurement.cells import Rows
 from calib.measurement.layout import of_list
 
 # Of the archive unpacked.
@@ -31,11 +32,8 @@ _MOST_VALUES = 4_000_000
 _OF_NUMBERS = frozenset(("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))))
 _PACKED = 15
 
-# Titles, cells and remarks.
-_Rows = tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]
 
-
-def from_npz(data: bytes, where: str) -> _Rows:
+def from_npz(data: bytes, where: str) -> Rows:
     """Return titles and cells of arrays (N,), (N, k) or (N, i, j), and remarks; N is the length that most arrays share.
 
     The columns of an array ``q`` are ``q_0``, ``q_1``, ..., those of a point (N, 3) ``p_x``, ``p_y``, ``p_z``, those of
@@ -56,7 +54,7 @@ def from_npz(data: bytes, where: str) -> _Rows:
     return _as_columns(arrays, names, where)
 
 
-def from_mat(data: bytes, where: str) -> _Rows:
+def from_mat(data: bytes, where: str) -> Rows:
     """Return titles and cells of the matrices of a MATLAB file, as :func:`from_npz` does; not of cells and structs.
 
     Of matrices along a third dimension, as of placements (4, 4, N), this counts the rows. MATLAB 7.3 writes HDF5, which
@@ -102,7 +100,7 @@ def _unpacked(data: bytes) -> int:
     return size
 
 
-def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[str], where: str) -> _Rows:
+def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[str], where: str) -> Rows:
     counts = Counter(len(array) for array in arrays.values())
     if not counts:
         raise MeasurementError(f"{where}: holds no arrays of numbers or words, with a row for every measurement.")

@@ -12,6 +12,7 @@ from calib.foundations.csv_text import text_of
 from calib.foundations.errors import MeasurementError
 from calib.foundations.json_text import UnreadableError, unique_names, whole_number
 from calib.foundations.words import counted, listed, shown
+from calib.measurement.cells import Rows
 from calib.measurement.formats.yaml_events import read_yaml, written
 from calib.measurement.layout import is_number
 
@@ -25,11 +26,8 @@ _SPLIT = ({"columns", "data"}, {"columns", "index", "data"})
 _LONGEST_VECTOR = 16
 _ALLOWED = 'allowed is a list of records, as [{"x": 1, "y": 2}, {"x": 3, "y": 4}]'
 
-# Titles, cells and remarks.
-_Rows = tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]
 
-
-def from_json_lines(data: bytes, where: str) -> _Rows:
+def from_json_lines(data: bytes, where: str) -> Rows:
     """Return titles and cells of one JSON object a line."""
     found = []
     for number, line in enumerate(_text(data, where).split("\n"), start=1):
@@ -38,12 +36,12 @@ def from_json_lines(data: bytes, where: str) -> _Rows:
     return _rows(found, (), where)
 
 
-def from_json(data: bytes, where: str) -> _Rows:
+def from_json(data: bytes, where: str) -> Rows:
     """Return titles and cells of a JSON list, or mapping, of records, or of columns."""
     return _rows(*_records(_loaded(_text(data, where), where), where), where)
 
 
-def from_yaml(data: bytes, where: str) -> _Rows:
+def from_yaml(data: bytes, where: str) -> Rows:
     """Return titles and cells of records in YAML, in one document or several. Needs the package pyyaml."""
 
     def documents_of(yaml: Any, text: str, loader: Any) -> list[Any]:
@@ -164,7 +162,7 @@ def _free_title(records: Iterable[Mapping[str, Any]]) -> str:
     return title
 
 
-def _rows(found: Sequence[Any], said: tuple[str, ...], where: str) -> _Rows:
+def _rows(found: Sequence[Any], said: tuple[str, ...], where: str) -> Rows:
     titles: dict[str, None] = {}
     rows: list[dict[str, str]] = []
     count = 0

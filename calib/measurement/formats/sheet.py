@@ -9,7 +9,7 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.words import counted, listed, shown
-from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
+from calib.measurement.cells import Rows, beginning, cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats import arrays, logs, records, statements, workbook
 from calib.measurement.layout import is_number, layout, name_and_unit, with_point, with_units
 
@@ -61,7 +61,7 @@ def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
     """
     path, where = Path(path), str(path)
     # Each gives titles, cells and remarks.
-    readers: Mapping[str, Callable[[bytes, str], tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]]] = {
+    readers: Mapping[str, Callable[[bytes, str], Rows]] = {
         ".jsonl": records.from_json_lines,
         ".ndjson": records.from_json_lines,
         ".json": records.from_json,

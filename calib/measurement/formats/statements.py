@@ -19,6 +19,7 @@ from calib.foundations.csv_text import text_of
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import symbol_of
 from calib.foundations.words import counted, shown
+from calib.measurement.cells import Rows
 from calib.measurement.layout import is_number, of_list
 
 # Words, numbers and signs take some hundred bytes each.
@@ -37,9 +38,6 @@ _PAIRS = MappingProxyType({"]": "[", ")": "(", "}": "{"})
 _NO_AXIS = 9e9
 _NUMBER = r"(?<![\w.])[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.])"
 _TOKEN = re.compile(rf"""(?P<text>"[^"\n]*"|'[^'\n]*')|(?P<number>{_NUMBER})|(?P<word>\w+)|(?P<sign>[^\s\w])""")
-
-# Titles, cells and remarks.
-_Rows = tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]
 
 
 class _Token(NamedTuple):
@@ -90,7 +88,7 @@ def _lists(tokens: Iterable[_Token]) -> int:
     return found
 
 
-def from_statements(data: bytes, where: str, part: str | None = None) -> _Rows | None:
+def from_statements(data: bytes, where: str, part: str | None = None) -> Rows | None:
     """Return titles, cells and remarks of the statements that have lists; None where there are none.
 
     ``part``: a word of those that are meant, where there are several kinds. Raises MeasurementError where it is not
@@ -129,7 +127,7 @@ def _told(statement: _Statement) -> str:
     return f"{shown(' '.join(token.text for token in statement.tokens[:12]))} (line {statement.tokens[0].line})"
 
 
-def expanded(titles: Sequence[str], rows: Sequence[Sequence[str]], where: str) -> _Rows:
+def expanded(titles: Sequence[str], rows: Sequence[Sequence[str]], where: str) -> Rows:
     """Return a table with columns for cells that are lists of numbers; raises MeasurementError for other lengths."""
     columns: list[tuple[str, Sequence[str]]] = []
     said = []

@@ -12,6 +12,7 @@ from xml.etree.ElementTree import Element, iterparse
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
 from calib.foundations.words import counted, listed, shown
+from calib.measurement.cells import Rows
 from calib.measurement.layout import header_of, is_number, refuse_two_units, units_of, with_point, with_units
 
 # Of the archive unpacked; a workbook of a million cells has some 50 MB.
@@ -50,7 +51,7 @@ _LOOKED_AT = 200
 _MOST_LOOKED_AT = 20_000_000
 
 
-def from_xlsx(data: bytes, where: str) -> tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]:
+def from_xlsx(data: bytes, where: str) -> Rows:
     """Return titles and cells of the first sheet that is not hidden and not empty, and what is not read.
 
     A first row of numbers is no header; rows before a header are passed over. Formulas are as shown.
