@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _IMAGES = "images"
 _FILES = "One file, or joints and points apart: text, records, .xlsx, .npz, .mat; a ROS recording; or images FOLDER."
 _STACK = "Put the files one below the other; a column TITLE has their names."
+_EACH_POINT = "Of several points of one body in a row make a row for each; a column tool has their names."
 _ROBOT = "FILE is the maker's calibration of this UR arm: write its URDF. Of images: the arm, and write a job."
 
 
@@ -54,14 +55,29 @@ class OfImages:
 NO_IMAGES = OfImages()
 
 
+@dataclass(frozen=True, slots=True)
+class Arranged:
+    """What options say of the rows of several files, or of several points."""
+
+    by: Annotated[str | None, typer.Option("--by", help="Title of the column that names rows, or the word order.")] = (
+        None
+    )
+    stack: Annotated[str | None, option("--stack", "TITLE", _STACK)] = None
+    each_point: Annotated[bool, typer.Option("--each-point", help=_EACH_POINT)] = False
+
+    def given(self) -> dict[str, object]:
+        """Return them by their names; None, or false, where they say nothing."""
+        return {"--by": self.by, "--stack": self.stack, "--each-point": self.each_point}
+
+
+AS_THEY_ARE = Arranged()
+
+
 @command("import", PREPARE, "calib import joints.csv tracker.txt -o measured.csv")
 def import_(
     files: Annotated[list[Path], argument("FILE...", _FILES)],
     out: Annotated[Path | None, written("FILE", "The table, to be written.")] = None,
-    by: Annotated[
-        str | None, typer.Option("--by", help="Title of the column that names rows, or the word order.")
-    ] = None,
-    stack: Annotated[str | None, option("--stack", "TITLE", _STACK)] = None,
+    arranged: Arranged = AS_THEY_ARE,
     robot: Annotated[str | None, option("--robot", "URDF", _ROBOT)] = None,
     topic: Annotated[
         str | None, option("--topic", "NAME", "Of a recording: the topic, or rigid body, or kind of lines, to be read.")
@@ -72,32 +88,34 @@ def import_(
     """Make one table from files of other programs.
 
     Joints and points are joined by the names of their rows, or in order. calib init then says what columns mean. Files
-    of which each is one socket or point that was touched: calib import hole_*.csv --stack target -o touched.csv. Of a
-    recording of ROS 1, ROS 2 or MCAP the topics are listed; --topic with -o makes a table of one of them.
+    of which each is one socket or point that was touched: calib import hole_*.csv --stack target -o touched.csv. Rows
+    with several reflectors each: calib import tracker.csv --each-point -o rows.csv. Of a recording of ROS 1, ROS 2 or
+    MCAP the topics are listed; --topic with -o makes a table of one of them.
     Photographs of a board: calib import images photos/ --board board.toml --readings readings.csv -o marks.csv
     Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
     with loading():
         from calib.foundations.files import refuse_taken, write_new
+        from calib.measurement.bodies import a_row_for_each_point
         from calib.measurement.formats.recordings import is_recording
         from calib.measurement.formats.sheet import joined, read_sheet, stacked
     images = str(files[0]) == _IMAGES and len(files) > 1
-    joining: dict[str, object] = {"--by": by, "--stack": stack}
+    by, stack = arranged.by, arranged.stack
     if not images:
         refuse_idle("of photographs alone: calib import images FOLDER ...", of_images.given())
     if not images and any(is_recording(file) for file in files):
-        refuse_idle("not of a recording, of which --topic makes a table.", {**joining, "--robot": robot})
+        refuse_idle("not of a recording, of which --topic makes a table.", {**arranged.given(), "--robot": robot})
         _recording(files, topic, out, telling)
         return
     if out is None:
         raise typer.BadParameter("-o FILE is missing: the table, to be written.")
     refuse_taken(out)
     if images:
-        refuse_idle("not of photographs.", {**joining, "--topic": topic})
+        refuse_idle("not of photographs.", {**arranged.given(), "--topic": topic})
         _images(files[1:], out, robot, of_images, telling)
         return
     if robot is not None:
-        refuse_idle("not with --robot, which takes one file of the maker's.", {**joining, "--topic": topic})
+        refuse_idle("not with --robot, which takes one file of the maker's.", {**arranged.given(), "--topic": topic})
         _own_urdf(files, robot, out, telling)
         return
     if stack is not None and by is not None:
@@ -113,6 +131,8 @@ def import_(
     sheet = sheets[0] if stack is None else stacked(sheets, stack)
     for other in sheets[1:] if stack is None else ():
         sheet = joined(sheet, other, by)
+    if arranged.each_point:
+        sheet = a_row_for_each_point(sheet)
     write_new(out, sheet.csv())
     _tell(sheet, counted(len(sheet.titles), "column"), out, telling)
 

@@ -152,7 +152,7 @@ def roles(table: RawTable) -> Roles:
     spoken.update(k for orientation in orientations for k in orientation.columns)
     # Joined to joints, a file of points without a header: columns that have numbers for names.
     nameless = [k for k in numeric if len(parts[k]) == 2 and parts[k][0] == "column" and parts[k][1].isdigit()]
-    for point, turned in _points_among(nameless) if not points else ():
+    for point, turned in points_among(nameless) if not points else ():
         word = frozenset((f"column {point.columns[0]}",))
         points.append(point._replace(words=word))
         orientations += [one._replace(words=word) for one in turned]
@@ -456,13 +456,13 @@ def without_names(table: RawTable, count: int, joints: Sequence[int] = (), point
                 matrix = Orientation(nine, "matrix", "matrix", frozenset())
                 found.append(Unnamed(those, _point(other[3], other[7], other[11]), (matrix,)))
         else:
-            found += [Unnamed(those, point, turned) for point, turned in _points_among(other)]
+            found += [Unnamed(those, point, turned) for point, turned in points_among(other)]
     if joints and not found:
         found = [Unnamed(shared[0][0])]
     return found
 
 
-def _points_among(columns: Sequence[int]) -> Iterator[tuple[Point, tuple[Orientation, ...]]]:
+def points_among(columns: Sequence[int]) -> Iterator[tuple[Point, tuple[Orientation, ...]]]:
     """Yield each three columns side by side as a point, with the orientations that may stand behind it.
 
     What was commanded may stand beside what was measured, and how far both are apart.

@@ -255,6 +255,8 @@ _IMPORTS: tuple[tuple[str, ...], ...] = (
     _PHOTOGRAPHS,
     (*_PHOTOGRAPHS, "--robot", _URDF, "--tip", "probe"),
     (*_PHOTOGRAPHS, "--orientation", "rpy", "--camera-on", "floor"),
+    ("a.csv", "--each-point"),
+    ("a.csv", "b.csv", "--by", "order", "--each-point"),
 )
 
 
@@ -295,6 +297,9 @@ def imports() -> list[bytes]:
     points = b"name,x [mm],y [mm],z [mm]\nP1,1,2,3\nP2,4,5,6\n"
     deltas = "".join(f"delta_{name} = [ 1e-4, 0, -2e-5, 0.0003, 0, 0]\n" for name in ("theta", "a", "d", "alpha"))
     bag = next(one[1:] for one in recordings() if one[:1] == b"\1")
+    turns = np.radians(np.arange(8) * 37.0)
+    body = np.column_stack([np.cos(turns), np.sin(turns), 1.0 + turns, -np.sin(turns), np.cos(turns), turns])
+    several = _csv("x1 [mm],y1 [mm],z1 [mm],x2 [mm],y2 [mm],z2 [mm]", body)
     files = (
         *({"a.csv": joints, "b.csv": points},) * 3,
         {"a.csv": points, "b.csv": points},
@@ -302,6 +307,8 @@ def imports() -> list[bytes]:
         {"own.conf": f"[mounting]\n{deltas}joint_checksum = [ 0xb3241580]\n".encode()},
         {"one.mcap": bag},
         *({"board.toml": board_toml(_PRINT).encode(), "readings.csv": readings} for readings in _photographed()),
+        {"a.csv": several},
+        {"a.csv": several.partition(b"\n")[2], "b.csv": several},
     )
     return [bytes([k]) + packed(own) for k, own in enumerate(files)]
 

@@ -14,6 +14,7 @@ from calib.identification.followed import FEWEST_ROWS, Followed, followed
 from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension, run_of, values_of
 from calib.job.foreign.seen import Seen
 from calib.job.proposal import About
+from calib.measurement.bodies import points_of_one_body
 from calib.measurement.raw import RawColumn
 from calib.measurement.roles import Point, Rank, numbers_of
 from calib.robot.robot import Robot
@@ -245,9 +246,15 @@ def _by_rank(seen: Seen, ranks: Mapping[_Some, Rank]) -> _Some | None:
 
 def _point_question(seen: Seen, found: Iterable[Point]) -> AskedError:
     columns = sorted({one.columns for one in found})
+    ways = " or ".join(first_of([*map(seen.titles, columns)]))
+    of_one = points_of_one_body(seen.raw)
+    of_body = (
+        f" {len(of_one)} points keep their distances, as reflectors on one body do: calib import {seen.raw.where} "
+        "--each-point -o rows.csv makes a row of each"
+    )
     return ask(
         "position",
-        f"{seen.raw.where}: which columns were measured, {' or '.join(first_of([*map(seen.titles, columns)]))}?",
+        f"{seen.raw.where}: which columns were measured, {ways}?{of_body if of_one else ''}",
         [f"'x={seen.raw.columns[one[0]].title}'" for one in columns],
         "--column",
     )
