@@ -27,7 +27,8 @@ with loading():
     from calib.job.propose import propose
     from calib.job.read import read_job, read_toml
     from calib.job.schema import named_files
-    from calib.measurement.formats.sheet import read_sheet, stacked
+    from calib.measurement.bodies import a_row_for_each_point
+    from calib.measurement.formats.sheet import Sheet, read_sheet, stacked
     from calib.measurement.formats.statements import are_in
     from calib.measurement.raw import raw_table, split_title
     from calib.presentation.console import Steps
@@ -35,7 +36,7 @@ with loading():
 
 # Tables of text, which are read as they are; others become one first.
 _TEXT = (".csv", ".tsv", ".txt", ".dat", ".asc", ".log")
-_TOUCHED, _MARKS, _FLANGE = "touched.csv", "marks.csv", "flange.urdf"
+_TOUCHED, _OF_POINTS, _MARKS, _FLANGE = "touched.csv", "{}_rows.csv", "marks.csv", "flange.urdf"
 _SHOWN_VALUES = 3
 
 
@@ -54,10 +55,14 @@ def look(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:
     if asked["photographs"]:
         of_board = _photographed(asked, tables, boards, say)
         return {**of_board, "reasons": [*reasons, *of_board["reasons"]]}
+    made: list[tuple[str, Sheet]] = []
     if asked["stack"] and tables:
-        sheet = stacked([read_sheet(table) for table in tables], "target")
-        tables = [_made(_TOUCHED, sheet.csv())]
-        reasons += [f"{tables[0]}: {remark}." for remark in sheet.remarks]
+        made = [(_TOUCHED, stacked([read_sheet(table) for table in tables], "target"))]
+    elif asked["each_point"]:
+        made = [(_OF_POINTS.format(Path(table).stem), a_row_for_each_point(read_sheet(table))) for table in tables]
+    if made:
+        tables = [_made(name, sheet.csv()) for name, sheet in made]
+        reasons += [f"{t}: {remark}." for t, (_, sheet) in zip(tables, made, strict=True) for remark in sheet.remarks]
     say("reading the tables")
     found = propose(asked["robot"], tables, **asked["answers"])
     told: dict[str, Any] = {
@@ -69,7 +74,8 @@ def look(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:
     if found.questions:
         question = found.questions[0]
         choices = [{"text": choice, "answers": question.answered(choice)} for choice in question.choices]
-        return {**told, "question": {"text": question.text, "option": question.option, "choices": choices}}
+        of = {"about": question.about, "text": question.text, "option": question.option, "choices": choices}
+        return {**told, "question": of}
     write_atomically(Path(JOB), found.job(Path.cwd()))
     return {**told, **check(asked, say)}
 

@@ -45,7 +45,13 @@ class Session:
         self._files: dict[str, int] = {}
         # What they are called where they come from: two names may become one when they are made plain.
         self._called: dict[str, str] = {}
-        self._asked: dict[str, Any] = {"robot": "", "answers": {}, "stack": False, "camera_on": "tip"}
+        self._asked: dict[str, Any] = {
+            "robot": "",
+            "answers": {},
+            "stack": False,
+            "each_point": False,
+            "camera_on": "tip",
+        }
         self._look: dict[str, Any] | None = None
         self._results: dict[str, Any] | None = None
         # Stamps of the files: as a child began, and those that what was found is of.
@@ -263,7 +269,8 @@ class Session:
         if not all(isinstance(text, str) and len(text) <= _LONGEST_TEXT for text in texts):
             raise JobError(f"An answer must be text of at most {_LONGEST_TEXT} characters.")
         kept = {key: answers[key] for key in _ANSWERS if answers.get(key)} | ({"columns": columns} if columns else {})
-        return {"robot": robot, "answers": kept, "stack": said.get("stack") is True, "camera_on": camera_on}
+        ticked = {key: said.get(key) is True for key in ("stack", "each_point")}
+        return {"robot": robot, "answers": kept, **ticked, "camera_on": camera_on}
 
     def _begin(self, verb: str, asked: Mapping[str, Any]) -> None:
         self._sentence = ""

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from calib.robot.sources import resolve
@@ -16,6 +17,7 @@ from scripts.development.browser import CHROMIUM, Page, browser
 from scripts.examples import positioner_camera_job
 from tests.app.test_server import PANDA, Server
 from tests.support.cases import CASE, JOB, ROOT, TABLE, URDF
+from tests.support.people import UR10, session, text
 
 DATASETS = os.environ.get("CALIB_DATASETS")
 REAL = Path(DATASETS or "")
@@ -190,6 +192,26 @@ def test_the_keyboard_goes_through_the_page_in_its_order(fresh: Page) -> None:
     fresh.evaluate("byId('column-0-0').focus(), true")
     changed(fresh, "column-0-0", fresh.evaluate("byId('column-0-0').value"))
     assert fresh.evaluate("document.activeElement.id") == "column-0-0"
+
+
+def test_reflectors_in_a_row_are_taken_all(fresh: Page, tmp_path: Path) -> None:
+    s = session()
+    points = [1e3 * (s.position + s.rotation @ place) for place in ([0.0, 0.0, 0.0], [0.05, 0.0, 0.01])]
+    titles = [*(f"J{k}" for k in range(1, 7)), *(f"{axis}{k}" for k in (1, 2) for axis in "xyz")]
+    (tmp_path / "tracker.csv").write_text(text(titles, [np.degrees(s.readings), *points]))
+    fresh.drop("#drop", [tmp_path / "tracker.csv"])
+    settle(fresh)
+    assert fresh.evaluate("byId('points-label').hidden")
+    changed(fresh, "robot", UR10)
+    assert "2 points keep their distances" in fresh.evaluate("byId('asked').textContent")
+    assert not fresh.evaluate("byId('points-label').hidden")
+    changed(fresh, "points", True)
+    assert fresh.evaluate("byId('question').hidden && !byId('points-label').hidden")
+    assert "tables/tracker_rows.csv: 'point 1', 'point 2' keep their distances" in fresh.evaluate(
+        "byId('why').textContent"
+    )
+    assert " times better" in calibrated(fresh)
+    assert axe(fresh) == []
 
 
 @real

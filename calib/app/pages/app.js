@@ -72,7 +72,7 @@ function answers() {
 
 // Every change is followed by a look: that is the live check.
 function look(more = {}) {
-  const said = { robot: byId("robot").value, stack: byId("stack").checked, camera_on: byId("camera").value, answers: answers() };
+  const said = { robot: byId("robot").value, stack: byId("stack").checked, each_point: byId("points").checked, camera_on: byId("camera").value, answers: answers() };
   return told("POST", "look", JSON.stringify({ ...said, ...more }));
 }
 
@@ -156,8 +156,9 @@ function draw() {
     const known = examples.map(name => [name, name.split("/").pop().replace(".urdf", "") + " (example)"]);
     options(byId("robot"), [["", "choose one, or drop its URDF"], ...robots, ...known], state.robot);
   });
-  part("asked", [state.stack, state.camera_on, state.answers], () => {
+  part("asked", [state.stack, state.each_point, state.camera_on, state.answers], () => {
     byId("stack").checked = state.stack;
+    byId("points").checked = state.each_point;
     byId("camera").value = state.camera_on;
     columns = { ...(state.answers.columns || {}) };
     for (const select of document.querySelectorAll("[data-answer]")) {
@@ -172,9 +173,12 @@ function draw() {
   part("sentence", state.sentence, () => { byId("sentence").textContent = state.sentence; });
   if (!state.sentence && (found || busy)) byId("sentence").textContent = "";
 
+  const several = Boolean(found && found.question && found.question.about === "position");
+  byId("points-label").hidden = !(state.each_point || several);
+
   // While a new look is under way, what the last one found stays to be seen; it is not to be calibrated.
   if (found || !busy) drawLook(found);
-  for (const id of ["choose", "folder", "robot", "stack", "camera", "check", "name", "forget"]) byId(id).disabled = running;
+  for (const id of ["choose", "folder", "robot", "stack", "points", "camera", "check", "name", "forget"]) byId(id).disabled = running;
   for (const control of document.querySelectorAll("#grids select, [data-answer], #choices button, #files button")) control.disabled = running;
   byId("job").readOnly = running;
   byId("calibrate").disabled = Boolean(busy) || dirty || !(found && found.findings);
@@ -334,7 +338,7 @@ for (const kind of ["dragover", "dragleave", "drop"]) {
   });
 }
 byId("robot").addEventListener("change", () => { if (state.files.length) look(); });
-for (const id of ["stack", "camera"]) byId(id).addEventListener("change", () => { columns = {}; look(); });
+for (const id of ["stack", "points", "camera"]) byId(id).addEventListener("change", () => { columns = {}; look(); });
 for (const select of document.querySelectorAll("[data-answer]")) select.addEventListener("change", () => look());
 byId("name").addEventListener("click", () => {
   const ours = byId("ours").value.trim();
