@@ -95,3 +95,25 @@ def test_a_probe_on_the_wrong_side_is_put_where_its_touches_put_it(tmp_path: Pat
     found = anchors_anew(problem, wrong)
     assert found is not None
     np.testing.assert_allclose(found, x, atol=2e-4)
+
+
+TABLE = """<robot name="table"><link name="base"/><link name="plate"/><joint name="c" type="continuous">
+<parent link="base"/><child link="plate"/><origin xyz="0 0 0.3"/><axis xyz="0 0 1"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("anchors", [1, 3])
+def test_a_ball_on_a_table_is_found_off_the_axis_by_a_ball_bar(tmp_path: Path, seed: int, anchors: int) -> None:
+    """The frame of a table is on its axis: to which side the ball is, no derivative tells there."""
+    rng = np.random.default_rng(seed)
+    (tmp_path / "table.urdf").write_text(TABLE, encoding="utf-8")
+    robot = calib.load_robot(tmp_path / "table.urdf")
+    ball, places = np.array([0.25, 0.1, 0.05]), rng.uniform(-0.8, 0.8, (anchors, 3))
+    turns, own = rng.uniform(-3.0, 3.0, 36), np.arange(36) % anchors
+    points = Rotation.from_euler("z", turns[:, None]).apply(ball) + [0.0, 0.0, 0.3]
+    length = np.linalg.norm(points - places[own], axis=1) + rng.normal(scale=5e-6, size=36)
+    columns: dict[str, object] = {"c [rad]": turns, "length [m]": length, "target": [f"A{k}" for k in own]}
+    data = calib.read_measurements(columns, robot, "distance", sigma=5e-6)
+    fit = identify(calib.error_model(robot, offsets=(), placements=(), base="fixed", tool="position"), data)
+    assert fit.converged
+    assert np.sqrt(np.mean(fit.residuals[0] ** 2)) < 1.2 * 5e-6

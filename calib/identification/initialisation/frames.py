@@ -53,7 +53,7 @@ def initialise(model: ErrorModel, sets: Sequence[Measurements], begun: Machine |
 
     What is fixed or known stays as given, a base with a prior where the prior has it. ``begun``: a machine whose robot
     is taken in the place of the nominal one, and whose set-ups, tools and scalars, the first of the names, stay; but
-    tools that balls alone tell may be clearly better elsewhere.
+    tools that balls or lengths alone tell may be clearly better elsewhere.
 
     Raises MeasurementError where nothing shows where the base of a set-up is.
     """
@@ -194,7 +194,7 @@ def _together(
 
 
 def _touched(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> Array:
-    """Return the tools with those that touches of balls alone tell where these put them."""
+    """Return the tools with those that touches of balls, or lengths, alone tell where these put them."""
     sets = [one.data for one in carried]
     tips = [_at_points(one.seen(at.bases), one.data, at.tools) for one in carried]
     known: list[list[Array | None]] = []

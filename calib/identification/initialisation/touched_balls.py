@@ -1,9 +1,12 @@
-"""Tool points that only touches of balls tell: the probe's place on the tip, on the side from which it touched.
+"""Tool points that only touches of balls, or lengths, tell: the probe's place on the tip, on the side it touched from.
 
 About a ball that is touched with the probe towards its middle, the tip turns as about a socket in the middle: what
 stays is not the probe but a point a radius before it. A search from there, where all touches are at the middle of the
 ball, ends on a side that chance chose. So the probe is sought a radius off that point in every direction, each time
 with the balls where these touches put them, and the place that fits clearly best is taken.
+
+So it is with lengths to anchors where the tip is on the axis about which it turns, as on a table: it stays where it is
+while they change, nothing says to which side the tool is, and a search that begins there stays there.
 """
 
 from collections.abc import Sequence
@@ -26,7 +29,10 @@ _SIDES = read_only(np.array([np.array(d) / np.linalg.norm(d) for d in product((-
 
 
 class _Touches(NamedTuple):
-    """Touches of one ball: tips (n, 4, 4) at the rows' points, radii (n,), and its middle (3,) where that is known."""
+    """Touches of one ball, or lengths to one anchor: tips (n, 4, 4) at the rows' points, radii or lengths (n,).
+
+    ``known``: its middle (3,) where that is known.
+    """
 
     data: Measurements
     tips: Array
@@ -58,7 +64,7 @@ def touched_with(
     sought: IntArray,
     known: Sequence[Sequence[Array | None]],
 ) -> Array:
-    """Return tools (k, 4, 4) with those ``sought`` where touches of balls alone put them; others as they were.
+    """Return tools (k, 4, 4) with those ``sought`` where touches of balls, or lengths, alone put them; others as before.
 
     ``tips`` (N, 4, 4) of every set at the rows' points, as their targets see them; ``known``: where the target of each
     row is, None where that is to be found.
@@ -66,7 +72,7 @@ def touched_with(
     found = tools.copy()
     for k in sought:
         own = [one for one in zip(sets, tips, known, strict=True) if np.any(one[0].tool == k)]
-        if any(data.kind != "sphere" or data.uses for data, *_ in own):
+        if any(data.kind not in ("sphere", "distance") or data.uses for data, *_ in own):
             continue
         balls = [ball for data, T, there in own for ball in _balls(data, T, there, int(k))]
         if balls:
@@ -86,9 +92,15 @@ def _balls(data: Measurements, tips: Array, known: Sequence[Array | None], tool:
 
 
 def _best(balls: Sequence[_Touches], start: Array) -> Array:
-    """Return the point (3,) of the tool that fits best of all that are a radius off a start; the start if none does."""
-    size = float(np.mean(np.concatenate([ball.radius for ball in balls])))
+    """Return the point (3,) of the tool that fits best of all that are so far off a start; the start if none does.
+
+    That is a radius; of lengths half of what they change by, where a tool at the start explains none of it.
+    """
     best = _sought(balls, start, held=True)
+    radii = [ball.radius for ball in balls if ball.data.kind == "sphere"]
+    if not radii and best.squares < _CLEARLY * sum(len(ball.radius) * np.var(ball.radius) for ball in balls):
+        return start
+    size = float(np.mean(np.concatenate(radii))) if radii else max(0.5 * float(np.ptp(b.radius)) for b in balls)
     ends = [_sought(balls, start + size * side) for side in (np.zeros(3), *_SIDES)]
     for end in (ends[0], min(ends, key=lambda end: end.squares)):
         best = end if end.squares < _CLEARLY * best.squares else best
