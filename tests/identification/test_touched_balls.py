@@ -110,7 +110,7 @@ def test_a_ball_on_a_table_is_found_off_the_axis_by_a_ball_bar(tmp_path: Path, s
     robot = calib.load_robot(tmp_path / "table.urdf")
     ball, places = np.array([0.25, 0.1, 0.05]), rng.uniform(-0.8, 0.8, (anchors, 3))
     turns, own = rng.uniform(-3.0, 3.0, 36), np.arange(36) % anchors
-    points = Rotation.from_euler("z", turns[:, None]).apply(ball) + [0.0, 0.0, 0.3]
+    points = Rotation.from_euler("z", turns[:, None]).apply(ball) + np.array([0.0, 0.0, 0.3])
     length = np.linalg.norm(points - places[own], axis=1) + rng.normal(scale=5e-6, size=36)
     columns: dict[str, object] = {"c [rad]": turns, "length [m]": length, "target": [f"A{k}" for k in own]}
     data = calib.read_measurements(columns, robot, "distance", sigma=5e-6)

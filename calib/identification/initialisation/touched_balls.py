@@ -64,7 +64,7 @@ def touched_with(
     sought: IntArray,
     known: Sequence[Sequence[Array | None]],
 ) -> Array:
-    """Return tools (k, 4, 4) with those ``sought`` where touches of balls, or lengths, alone put them; others as before.
+    """Return tools (k, 4, 4) with those ``sought`` where touches of balls or lengths alone put them; others as before.
 
     ``tips`` (N, 4, 4) of every set at the rows' points, as their targets see them; ``known``: where the target of each
     row is, None where that is to be found.
