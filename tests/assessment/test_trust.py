@@ -849,6 +849,47 @@ def test_lengths_of_a_scara_that_are_all_too_long(factor: float, passed: bool) -
     assert check.passed == passed
 
 
+@pytest.mark.parametrize(("factor", "passed"), [(1.0, True), (1.05, False), (0.98, False)])
+def test_lengths_of_an_arm_of_millimetres_are_judged_by_its_size(factor: float, passed: bool) -> None:
+    """None of its lengths moves the tool by the millimetres that those of usual arms do."""
+    text = machines.urdf(
+        ("joint_1", "revolute", "0 0 12e-4", "0 0 0", "0 0 1"),
+        ("joint_2", "revolute", "2e-4 0 4e-4", "0 0 0", "0 1 0"),
+        ("joint_3", "revolute", "0 0 16e-4", "0 0 0", "0 1 0"),
+        ("joint_4", "revolute", "8e-4 0 1e-4", "0 0 0", "1 0 0"),
+        ("joint_5", "revolute", "7e-4 0 0", "0 0 0", "0 1 0"),
+        ("joint_6", "revolute", "3e-4 0 0", "0 0 0", "1 0 0"),
+    )
+    robot, drawn, rng = machines.load(text, "tip"), machines.arm(text, "tip"), np.random.default_rng(8)
+    longer = replace(drawn, joints=tuple(replace(j, origin=lengthened(j.origin, factor)) for j in drawn.joints))
+    made = longer.moved(rng, length=2e-6)
+    true = machines.Machine(made, np.eye(4), {"tool": machines.pose((2e-4, 1e-4, 4e-4))})
+    model = calib.error_model(robot, offsets="all", placements="all")
+    fit = calib.identify(model, true.measure(robot, made.draw(rng, 60), rng=rng, sigma=1e-7))
+    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    assert check.statistic == pytest.approx(abs(factor - 1.0), abs=5e-3)
+    assert check.passed == passed
+
+
+def test_a_short_link_of_a_crane_is_no_share_of_all_lengths() -> None:
+    """What its boom's travel does not take up of lengths is one of half a metre: 9 mm of 24 m are no other crane."""
+    text = machines.urdf(
+        ("slew", "revolute", "0 0 3", "0 0 0", "0 0 1"),
+        ("luff", "revolute", "0.5 0 0", "0 0 0", "0 -1 0"),
+        ("boom", "prismatic", "8 0 0", "0 0 0", "1 0 0"),
+        ("jib", "revolute", "0.5 0 0", "0 0 0", "0 1 0"),
+        ("turn", "revolute", "2 0 0", "0 0 0", "1 0 0"),
+    )
+    robot, arm, rng = machines.load(text, "tip"), machines.arm(text, "tip"), np.random.default_rng(2)
+    off = [replace(j, origin=lengthened(j.origin, 1.018 if j.name == "luff" else 1.0)) for j in arm.joints]
+    made = replace(arm, joints=tuple(off))
+    true = machines.Machine(made, np.eye(4), {"tool": machines.pose((0.6, 0.4, 0.5))})
+    model = calib.error_model(robot, offsets="all", placements="all")
+    fit = calib.identify(model, true.measure(robot, made.draw(rng, 50), rng=rng, sigma=2e-4))
+    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    assert check.passed, check.sentence
+
+
 @pytest.mark.parametrize(("by", "passed"), [(0.02, True), (0.07, False)])
 def test_a_joint_that_is_far_beside_its_place_is_another_robot(cell: Cell, by: float, passed: bool) -> None:
     """Across its link, where no length of the URDF is another."""

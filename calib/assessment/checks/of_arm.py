@@ -27,8 +27,11 @@ REST = 1e-4
 # place of one arm off beside another it was 0.71.
 SCALE, LINK, LINK_LENGTH, SURE, ALIKE = 0.015, 0.04, 0.025, 6.0, 0.9
 # In m, rms: a common share that moves the tool by less is how links of any arm err. Of sound arms with 0.5 mm in each
-# length it was 0.6 mm at the most; 5 % more length moved the tool of the smallest arm that was tried by 3.8 mm.
+# length it was 0.6 mm at the most; 5 % more length moved the tool of the smallest arm that was tried by 3.8 mm. Arms of
+# 5 mm and of 20 m err by as small a share of themselves: shares of the reach below which lengths in m are too many, and
+# above which too few.
 SCALED = 2e-3
+LEAST_SCALED, MOST_SCALED, MOST_LINK = 1e-3, 3e-3, 0.1
 # Scales of a parameter that may take up a common share, beside what rows say.
 PLAUSIBLE = 10.0
 # In m: a tool point from its link, the base from the instrument.
@@ -83,7 +86,9 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
     worst, link = _most_wrong(fit, sorted(free))
     scale, sigma, moves, alike = _common_scale(fit, parts, scaled, moved)
     most = LINK if alike < ALIKE and abs(scale) > SCALE else SCALE
-    if abs(scale) > max(most, SURE * sigma) and abs(scale) * moves > SCALED:
+    reach = fit.robot.reach
+    scaled_least = min(max(SCALED, LEAST_SCALED * reach), MOST_SCALED * reach)
+    if abs(scale) > max(most, SURE * sigma) and abs(scale) * moves > scaled_least:
         said = (
             f"All links seem {100.0 * scale:+.2g} % longer than in the URDF: is it the URDF of this robot, and are the "
             "instrument's lengths, and those stated, true?"
@@ -108,7 +113,7 @@ def _most_wrong(fit: Fit, joints: Sequence[int]) -> tuple[float, str]:
 
     ``joints``: those with free lengths, by number.
     """
-    worst, link = 0.0, ""
+    worst, link, short = 0.0, "", min(LINK_LENGTH, MOST_LINK * fit.robot.reach)
     for k in joints:
         T, own = np.asarray(fit.robot.chain[k].placement), fit.deviations.placements[k, :3]
         length = float(np.linalg.norm(T[:3, 3]))
@@ -116,12 +121,16 @@ def _most_wrong(fit: Fit, joints: Sequence[int]) -> tuple[float, str]:
         beside = float(np.sqrt(max(float(own @ own) - by**2, 0.0)))
         name = repr(fit.robot.chain[k].name)
         for off, of, said in (
-            (abs(by), length, f"The distance to joint {name} differs by {by / MM:+.0f} mm from the URDF"),
-            (beside, fit.robot.reach, f"Joint {name} is {beside / MM:.0f} mm beside its place in the URDF"),
+            (abs(by), length, f"The distance to joint {name} differs by {_in_mm(by)} from the URDF"),
+            (beside, fit.robot.reach, f"Joint {name} is {_in_mm(beside)[1:]} beside its place in the URDF"),
         ):
-            if off > worst * max(LINK * of, LINK_LENGTH):
-                worst, link = off / max(LINK * of, LINK_LENGTH), said
+            if off > worst * max(LINK * of, short):
+                worst, link = off / max(LINK * of, short), said
     return worst, link
+
+
+def _in_mm(length: float) -> str:
+    return f"{length / MM:+.0f} mm" if abs(length) >= 10.0 * MM else f"{length / MM:+.2g} mm"
 
 
 def _common_scale(
