@@ -84,6 +84,20 @@ def test_of_a_square_chessboard_the_first_corner_is_at_a_black_square(turns: int
     assert off < 0.02
 
 
+def test_a_chessboard_in_a_dark_room_is_found() -> None:
+    """Evened out, the noise of the room is as strong as the squares are."""
+    rng = np.random.default_rng(0)
+    board = Print("chessboard", (12, 9), 0.03)
+    image = cv2.resize(rng.normal(12.0, 4.0, (30, 40)), (640, 480), interpolation=cv2.INTER_CUBIC)
+    image[66:220, 316:512] = 190.0
+    image[80:206, 330:498] = np.kron((np.indices((9, 12)).sum(axis=0) % 2) * 170 + 20, np.ones((14, 14)))
+    image = cv2.GaussianBlur(image, (0, 0), 0.8) + rng.normal(0.0, 1.5, image.shape)
+    found = detector(board)(np.clip(np.rint(image), 0, 255).astype(np.uint8))
+    true = np.array([330.0, 80.0]) - 0.5 + board.marks[:, :2] / 0.03 * 14
+    assert len(found.marks) == len(true)
+    np.testing.assert_allclose(found.pixels, true[found.marks], atol=0.1)
+
+
 def test_an_image_without_a_board_shows_none() -> None:
     grey = np.random.default_rng(0).integers(0, 255, (480, 640), dtype=np.uint8)
     assert len(detector(PRINT)(grey).marks) == 0

@@ -276,8 +276,12 @@ def _chessboard(cv2: Any, print_: Print) -> Callable[[Array], tuple[IntArray, Ar
     across, down = print_.squares[0] - 1, print_.squares[1] - 1
 
     def find(grey: Array) -> tuple[IntArray, Array, bool]:
-        seen, corners = cv2.findChessboardCornersSB(grey, (across, down), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-        if not seen:
+        # As it is, and with its grey values spread evenly: this shows a faint board, and makes noise of a dark room.
+        for way in (0, cv2.CALIB_CB_NORMALIZE_IMAGE):
+            seen, corners = cv2.findChessboardCornersSB(grey, (across, down), flags=way)
+            if seen:
+                break
+        else:
             return NOTHING_SEEN.marks, NOTHING_SEEN.pixels, False
         pixels = corners.reshape(-1, 2).astype(np.float64)
         grid = pixels.reshape(down, across, 2)
