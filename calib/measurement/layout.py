@@ -61,6 +61,8 @@ def layout(data: bytes, where: str) -> Layout:
     first = beginning(data, where)[:_LOOKED_AT]
     plain = [line for line in first if not is_comment(line.text)]
     if not plain:
+        if 0 < len(first) < _LOOKED_AT:
+            raise MeasurementError(f"{where}: has comments, and no rows.")
         if first:
             raise MeasurementError(
                 f"{where}: begins with comments, and no header line is among the first {_LOOKED_AT} lines."

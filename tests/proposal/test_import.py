@@ -20,7 +20,7 @@ from calib.measurement.formats import arrays, workbook
 from calib.measurement.formats.sheet import Sheet, joined, read_sheet
 from calib.measurement.table import read_table
 from tests.support.cases import run
-from tests.support.people import UR10, quaternions, session, text
+from tests.support.people import UR10, Session, quaternions, session, text
 
 J = [f"J{k}" for k in range(1, 7)]
 RECORDS = 'allowed is a list of records, as [{"x": 1, "y": 2}, {"x": 3, "y": 4}]'
@@ -70,6 +70,47 @@ def test_matrices_of_matlab(folder: Path) -> None:
     assert said.err == (
         "Error: p.mat: is of MATLAB, and no text; calib import makes a table of it, where its name ends with .mat.\n"
     )
+
+
+def placements(s: Session) -> np.ndarray:
+    T = np.tile(np.eye(4), (len(s.position), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = s.rotation, 1e3 * s.position
+    return T
+
+
+@pytest.mark.parametrize("form", ["stacked", "labelled", "in a line"])
+def test_matrices_in_a_text(folder: Path, form: str) -> None:
+    """As loggers of optical trackers write them; joints without names beside."""
+    s = session()
+    np.savetxt(folder / "joints.txt", np.degrees(s.readings))
+    with (folder / "poses.txt").open("w") as file:
+        for k, T in enumerate(placements(s)):
+            np.savetxt(file, T.reshape(1, 16) if form == "in a line" else T)
+            file.write(f"\nDataSet_{k + 2}\n" if form == "labelled" else "")
+    said = run("import", "joints.txt", "poses.txt", "-o", "m.csv")
+    assert (said.code, said.err) == (0, "")
+    assert "40 matrices of placements are a row each." in said.out
+    assert ("40 other lines are passed over." in said.out) == (form == "labelled")
+    found = calib.measuring.propose(UR10, ["m.csv"])
+    names = found.tables[0].columns
+    assert names.orientation == "matrix"
+    assert [names.names[key] for key in ("wrist_3_joint [deg]", "x [mm]")] == ["column 6", "x"]
+    assert names.names.get("r12", "r12") == "r12"
+
+
+def test_a_text_of_matrices_that_are_torn_or_none(folder: Path) -> None:
+    T = placements(session())
+    np.savetxt(folder / "torn.txt", T.reshape(-1, 4)[1:-1])
+    np.savetxt(folder / "ones.txt", np.vstack([np.ones((3, 4)), [0, 0, 0, 1]]))
+    assert [len(read_sheet(folder / name).titles) for name in ("torn.txt", "ones.txt")] == [4, 4]
+    T[2, 0, 0] += 0.5
+    np.savetxt(folder / "wrong.txt", T.reshape(-1, 4))
+    said = run("import", "wrong.txt", "-o", "m.csv")
+    assert said.code == 1
+    assert said.err.startswith("Error: wrong.txt:9: the matrix that begins here is no placement, as others are")
+    header = " ".join(f"m{i}{j}" for i in range(4) for j in range(4))
+    np.savetxt(folder / "named.txt", placements(session()).reshape(-1, 16), header=header, comments="")
+    assert read_sheet(folder / "named.txt").titles[:2] == ("m00", "m01")
 
 
 def test_what_is_wrong_with_a_file_of_matlab_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -793,6 +834,18 @@ def test_files_of_which_each_is_one_target(folder: Path) -> None:
     assert lines[1:] == [*(f"{k}.5,0.1,-0.2,hole_0" for k in range(3)), *(f"{k}.5,0.1,-0.2,hole_1" for k in range(2))]
 
 
+def test_files_of_one_name_are_called_by_their_folders(folder: Path) -> None:
+    """As a ball in two printed sockets is recorded at several places."""
+    files = [f"{place}/hole_{k}.csv" for place in ("left", "far/right") for k in range(2)]
+    for k, name in enumerate(files):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(f"# j1,j2,j3\n{k}.5,0.1,-0.2\n")
+    assert run("import", *files, "--stack", "target", "-o", "touched.csv").code == 0
+    rows = [line.split(",") for line in (folder / "touched.csv").read_text().splitlines()[1:]]
+    names = ["left/hole_0", "left/hole_1", "right/hole_0", "right/hole_1"]
+    assert [(row[0], row[3]) for row in rows] == [(f"{k}.5", name) for k, name in enumerate(names)]
+
+
 def test_names_of_several_lines_are_of_one(folder: Path) -> None:
     """Titles and files' names with a line end made a table that nothing could read again."""
     records = [{"joint_1\n[deg]": 1.5, "x [mm]": k, "tool": "a\nb"} for k in (1, 2)]
@@ -811,12 +864,12 @@ def test_names_of_several_lines_are_of_one(folder: Path) -> None:
         ("1,2\n3,4\n", "target", "hole_0.csv, b.csv: have other columns, 'column 1', 'column 2', 'column 3' and"),
         ("1,2,3\n3,4,5\n", "column 2", "hole_0.csv: has a column 'column 2' already."),
         (None, "target", "hole_0.csv: another file is called 'hole_0' too; give each its own name."),
+        ("# j1,j2,j3\n", "target", "b.csv: has comments, and no rows."),
     ],
 )
 def test_files_that_cannot_stand_below_each_other(folder: Path, second: str | None, title: str, sentence: str) -> None:
     (folder / "hole_0.csv").write_text("1,2,3\n4,5,6\n")
-    (folder / "sub").mkdir()
-    name = "sub/hole_0.csv" if second is None else "b.csv"
+    name = "hole_0.txt" if second is None else "b.csv"
     (folder / name).write_text(second or "1,2,3\n4,5,6\n")
     said = run("import", "hole_0.csv", name, "--stack", title, "-o", "out.csv")
     assert (said.code, said.out) == (1, "")

@@ -1,6 +1,7 @@
 """A sheet of cells, from whatever file holds one, and what joins two of them."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.words import counted, listed, shown
 from calib.measurement.cells import Rows, beginning, cells, in_bytes, lines, refuse_ragged
-from calib.measurement.formats import arrays, logs, records, statements, workbook
+from calib.measurement.formats import arrays, logs, matrices, records, statements, workbook
 from calib.measurement.layout import is_number, layout, name_and_unit, with_point, with_units
 
 _MOST_COLUMNS = 1000
@@ -113,6 +114,8 @@ def _of_text(data: bytes, where: str, part: str | None) -> Sheet:
     if data.lstrip().startswith(_XML):
         raise MeasurementError(f"{where}: is XML, and no table.")
     beginning(data, where)  # what is no text says so
+    if (found := matrices.from_matrices(data, where)) is not None:
+        return Sheet(tuple(found[0]), tuple(map(tuple, found[1])), where, found[2])
     if not statements.are_in(data):
         return _with_names_of_log(_of_table(data, where))
     refused = sheet = None
@@ -211,8 +214,9 @@ def _in_order(first: Sheet, second: Sheet, refused: str) -> Sheet:
 def stacked(sheets: Sequence[Sheet], title: str) -> Sheet:
     """Return sheets of the same columns one below the other; a last column ``title`` has the name of each row's file.
 
-    For files of which each belongs to one target: what was touched, its name says. Raises MeasurementError where the
-    columns differ, two files have the same name, or ``title`` is one of the columns.
+    For files of which each belongs to one target: what was touched, its name says, with the folder where files of
+    several have the same one. Raises MeasurementError where the columns differ, two files have the same name, or
+    ``title`` is one of the columns.
     """
     first = sheets[0]
     if not title.strip():
@@ -224,14 +228,24 @@ def stacked(sheets: Sequence[Sheet], title: str) -> Sheet:
             )
         if title in sheet.titles:
             raise MeasurementError(f"{sheet.where}: has a column {shown(title)} already.")
-    names = [_of_one_line(Path(sheet.where).stem) for sheet in sheets]
+    names = _names_of_files([Path(sheet.where) for sheet in sheets])
+    taken = Counter(names)
     for sheet, name in zip(sheets, names, strict=True):
-        if names.count(name) > 1:
+        if taken[name] > 1:
             raise MeasurementError(f"{sheet.where}: another file is called {shown(name)} too; give each its own name.")
     rows = tuple((*row, name) for sheet, name in zip(sheets, names, strict=True) for row in sheet.rows)
     said = f"{counted(len(sheets), 'file')} one below the other; {title!r} is the name of each"
     remarks = [remark for sheet in sheets for remark in sheet.remarks]
     return Sheet((*first.titles, title), rows, first.where, (*dict.fromkeys(remarks), said))
+
+
+def _names_of_files(paths: Sequence[Path]) -> list[str]:
+    """Return the names of files without their endings, behind as few folders as tell them apart, if any do."""
+    parts = [[*path.parent.parts, path.stem] for path in paths]
+    deepest = max(map(len, parts))
+    tried = ([_of_one_line("/".join(one[-count:])) for one in parts] for count in range(1, deepest + 1))
+    plain = next(tried)
+    return next((names for names in (plain, *tried) if len(set(names)) == len(names)), plain)
 
 
 def _naming(sheet: Sheet) -> dict[int, dict[str, int]]:
