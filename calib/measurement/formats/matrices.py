@@ -18,7 +18,7 @@ from calib.foundations import rigid
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import NUMBER
 from calib.foundations.words import counted
-from calib.measurement.cells import Rows, is_comment
+from calib.measurement.cells import Rows, beginning, is_comment
 from calib.measurement.orientations import MATRIX
 
 _BETWEEN = re.compile(r"[\s,;]+")
@@ -36,10 +36,11 @@ def from_matrices(data: bytes, where: str) -> Rows | None:
     Between matrices there may be lines of other things, of which the remarks say how many. Raises MeasurementError for
     a matrix that is torn, or no placement.
     """
+    first = [line.text for line in beginning(data, where) if not is_comment(line.text)]
+    if not any(_is_last(_numbers(line)) for line in first[:_LOOKED_AT]):
+        return None
     every = enumerate(data.decode("utf-8-sig", errors="replace").splitlines(), start=1)
     lines = [(k, line) for k, line in every if line.strip() and not is_comment(line)]
-    if not any(_is_last(_numbers(line)) for _, line in lines[:_LOOKED_AT]):
-        return None
     rows = [(k, _numbers(line)) for k, line in lines]
     found, passed = list[tuple[int, list[str]]](), 0
     for k, numbers in rows:
