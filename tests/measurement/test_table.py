@@ -218,7 +218,7 @@ def test_renaming_is_refused(columns: dict[str, str], sentence: str) -> None:
     ("content", "sentence"),
     [
         ("", ": is empty; a table starts with a header line."),
-        ("# only\n\n", ": begins with comments, and no header line is among the first 200 lines."),
+        ("# only\n\n", ": has comments, and no rows."),
         ("#\n" * 220_000 + "x [m]\n1\n", ": begins with comments, and no header line is among the first 200 lines."),
         ("x [m]\n# none\n", ": has a header and no rows."),
         (
