@@ -34,6 +34,7 @@ from calib.assessment.mixed_machines import mixed_machines
 from calib.assessment.outliers import Outliers, outliers
 from calib.assessment.own_base import OwnBase, tables_with_own_base
 from calib.assessment.places import unshown
+from calib.assessment.priors import contradicted
 from calib.assessment.stretches import by_photograph, pose_by_pose, stretches
 from calib.foundations.chance import exceeded
 from calib.foundations.linear import one_thread
@@ -46,9 +47,6 @@ from calib.measurement.checks import Finding
 _COMPLIANCE, _BY_TORQUES, _BACKLASH = ".elastic", ".torque", ".backlash"
 # The model's part of a table's noise, over all noise of the others and over what its own instrument has.
 _UNLIKE = 3.0
-# Standard deviations of a stated prior by which what is found may be off. A scale is that of a board's print, which is
-# stated to half a percent and mostly right to two tenths.
-_OFF = 4.0
 # Checks that say what is wrong, and those that say that something is.
 _OF_CAUSES = frozenset(
     {
@@ -123,7 +121,7 @@ def verdict(
             of_arm.lengths(fit, parts),
             of_arm.tool_and_base(fit),
             of_arm.lens(fit),
-            of_arm.warnings((*findings, *_contradicted(fit))),
+            of_arm.warnings((*findings, *contradicted(fit))),
         )
         alone = unchecked(residue, "tool")
     shown = (*shown_range(fit, own, held_out), *unshown(fit))
@@ -297,26 +295,4 @@ def _unlike(fit: Fit) -> list[Finding]:
                 "with a tool of its own; in others they may be too small for rows like these."
             )
             found.append(Finding.warning("unlike-tables", said))
-    return found
-
-
-def _contradicted(fit: Fit) -> list[Finding]:
-    """Return which scales of boards are found far from what is stated of them.
-
-    The prior holds them back, and what it held is in the arm and the tool.
-    """
-    found = []
-    for parameter, value, sigma in zip(fit.parameters, fit.values, fit.sigmas, strict=True):
-        if parameter.prior is None or not of_arm.is_stated_scale(parameter):
-            continue
-        off = value - (parameter.centre or 0.0)
-        if abs(off) > _OFF * parameter.prior:
-            found.append(
-                Finding.warning(
-                    "prior-contradicted",
-                    f"{parameter.name} is found {100.0 * off:+.2g} +- {100.0 * sigma:.2g} % from what is stated, which "
-                    f"is said to be right to {100.0 * parameter.prior:.2g} %, and is held back by that. Measure the "
-                    "squares of the board again.",
-                )
-            )
     return found

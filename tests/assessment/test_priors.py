@@ -1,0 +1,80 @@
+"""A stated prior that the data contradict is a doubt; one that is right is none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib
+from calib.assessment.priors import contradicted
+from calib.identification.set_ups import SetUp
+from tests.support import machines
+
+UR5 = ("example:ur_description/urdf/ur5_robot.urdf", "tool0")
+LENGTH, ANGLE = 0.5e-3, 1e-3
+
+
+def session(seed: int, wider: float = 1.0, base_off: float | None = None, sigma: float = 1e-4) -> calib.Fit:
+    """A fit under a prior that is right, or ``wider`` times narrower than the truth, which independent code draws.
+
+    ``base_off``: the base stood so many of its own stated deviations from where it is said to have stood.
+    """
+    rng = np.random.default_rng(seed)
+    robot = calib.load_robot(*UR5)
+    true = machines.arm(*UR5).moved(rng, length=LENGTH * wider, angle=ANGLE * wider, zero=ANGLE * wider)
+    base = machines.anywhere(rng)
+    machine = machines.Machine(true, base, {"tool": machines.pose((0.05, 0.02, 0.15))})
+    data = machine.measure(robot, rng.uniform(-2.0, 2.0, (60, 6)), rng=rng, sigma=sigma)
+    model = calib.error_model(robot, offsets="all", placements="all", priors=calib.Priors(LENGTH, ANGLE))
+    if base_off is not None:
+        stated = base @ machines.pose((base_off * LENGTH, 0.0, 0.0))
+        model = replace(model, setups={data.setups[0]: SetUp(stated, LENGTH, ANGLE)})
+    return calib.identify(model, data)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_prior_that_is_right_is_not_contradicted(seed: int) -> None:
+    assert contradicted(session(seed, base_off=1.0, sigma=(1e-5, 1e-4, 3e-4)[seed % 3])) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_arms_that_are_worse_than_stated_are_named_and_doubted(seed: int) -> None:
+    fit = session(seed, wider=5.0)
+    (said,) = contradicted(fit)
+    assert "s of the arm (" in said.sentence and ") is not what the data say: they show them " in said.sentence
+    assert any(said.sentence in doubt for doubt in calib.assess(fit).doubts)
+
+
+def test_what_is_most_off_is_named() -> None:
+    rng = np.random.default_rng(1)
+    robot = calib.load_robot(*UR5)
+    true = machines.arm(*UR5)
+    origins = np.zeros((len(true.joints), 6))
+    names = [joint.driver for joint in true.joints]
+    origins[names.index("wrist_1_joint"), 0] = 8e-3
+    machine = machines.Machine(true.with_errors(origins, {}), machines.anywhere(rng), {"tool": np.eye(4)})
+    data = machine.measure(robot, rng.uniform(-2.0, 2.0, (60, 6)), rng=rng, sigma=1e-4)
+    fit = calib.identify(
+        calib.error_model(robot, offsets="all", placements="all", priors=calib.Priors(LENGTH, ANGLE)), data
+    )
+    (found,) = contradicted(fit)
+    assert "wrist_1_joint.ty most, by +8.0" in found.sentence
+
+
+def test_a_base_that_stood_elsewhere_than_stated_is_named() -> None:
+    """Base and first joint are one to the data: both are named."""
+    (found,) = contradicted(session(2, base_off=15.0))
+    assert found.sentence.startswith("The prior of lengths of the arm (0.5 mm) is not what the data say: ")
+    assert found.sentence.endswith(" The same seems true of lengths of the base, perhaps by that alone.")
+
+
+def test_learned_priors_are_as_wide_as_the_data_say() -> None:
+    fit = session(0, wider=5.0)
+    model = replace(fit.model, priors=calib.Priors("learned", "learned"))
+    assert contradicted(calib.identify(model, fit.measurements)) == []
+
+
+def test_a_prior_that_is_made_as_wide_as_it_says_is_right() -> None:
+    fit = session(1, wider=5.0)
+    wide = replace(fit.model, priors=calib.Priors(5.0 * LENGTH, 5.0 * ANGLE))
+    assert contradicted(calib.identify(wide, fit.measurements)) == []
