@@ -1,21 +1,27 @@
-"""Stated priors that the data contradict: what a prior holds back, the other parameters take up.
+"""Stated priors that the data contradict, and whether they hold the result back.
 
 Were a prior right, what a fit finds under it, x, would have the covariance S - C: that of the prior less that of the
-fit. So its sum of squares in those directions in which the data say something is a chi-square.
+fit. So its sum of squares in those directions in which the data say something is a chi-square. Where data determine a
+parameter, a prior that is too narrow does little harm. So it is made as wide as the data say, S f^2 for all its
+parameters g, and counts where this moves what is predicted: by C_g (S / (1 - f^-2) - C_gg)^-1 x_g, as where the fit is
+linear. Else it is a warning, for how parameters share what the data do not tell apart is as sure as the prior.
 """
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.assessment.checks.of_arm import is_stated_scale
+from calib.assessment.stretches import Stretch
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.chance import exceeded
 from calib.foundations.units import DEG, MM
 from calib.identification.fit import Fit
 from calib.identification.machine import Layout
+from calib.identification.parameters import scales
 from calib.measurement.checks import Finding
 
 # Standard deviations of a stated prior by which what is found may be off. A scale is that of a board's print, which is
@@ -25,12 +31,31 @@ _OFF = 4.0
 _SAID = 0.1
 # Priors are stated roughly, and what a model leaves out is in the parameters, too.
 _SURELY, _FARTHER = 1e-6, 1.5
-_CODE = "prior-contradicted"
+# Standard deviations of what is predicted at the poses of the fit. With less, nine of ten regions hold the truth.
+_PULL = 0.3
+_CODE, _HARMLESS = "prior-contradicted", "prior-too-narrow"
 _OR_LEARNED = ', or write "learned"'
+_MUCH = "; what the data do not tell is less certain than regions say."
+_LITTLE = "; predictions hardly depend on it, but the values of single parameters do."
 
 
-def contradicted(fit: Fit) -> list[Finding]:
-    """Return the stated priors of which that is no accident, in a sentence each; learned ones are right."""
+class _Wrong(NamedTuple):
+    """``what`` has a wrong prior, by whose standard deviation its parameters are ``off``, and a sentence.
+
+    ``pull``: by how many of their standard deviations predictions move without it.
+    """
+
+    what: str
+    off: float
+    pull: float
+    sentence: str
+
+
+def contradicted(fit: Fit, parts: Sequence[Stretch]) -> list[Finding]:
+    """Return a sentence for scales of boards far from what is stated, and one for priors that are too narrow.
+
+    ``parts``: its rows, where it ended. Learned priors are as wide as the data say.
+    """
     found = [
         Finding.warning(
             _CODE,
@@ -42,16 +67,16 @@ def contradicted(fit: Fit) -> list[Finding]:
         if is_stated_scale(parameter) and (prior := parameter.prior)
         if abs(off := value - (parameter.centre or 0.0)) > _OFF * prior
     ]
-    off = _off(fit)
-    judged = [(what, _judged(fit, np.array(which), off[which], what)) for which, what in _stated_together(fit)]
-    told = sorted(((*one, what) for what, one in judged if one is not None), key=lambda one: -one[0])
-    if not told:
+    judged = [_judged(fit, np.array(which), what, parts) for which, what in _stated_together(fit)]
+    wrong = sorted((one for one in judged if one is not None), key=lambda one: -one.off)
+    if not wrong:
         return found
     # What one wrong prior holds back is taken up by others, too: that of the parameter that is farthest off is first.
-    (_, sentence, _), *others = told
-    also = " and ".join(what for *_, what in others)
-    more = f" The same seems true of {also}, perhaps by that alone." if others else ""
-    return [*found, Finding.warning(_CODE, sentence + more)]
+    also = " and ".join(one.what for one in wrong[1:])
+    more = f" The same seems true of {also}, perhaps by that alone." if also else ""
+    harms = max(one.pull for one in wrong) >= _PULL
+    said = _MUCH if harms else _LITTLE
+    return [*found, Finding.warning(_CODE if harms else _HARMLESS, wrong[0].sentence + said + more)]
 
 
 def _stated_together(fit: Fit) -> Iterator[tuple[list[int], str]]:
@@ -67,27 +92,13 @@ def _stated_together(fit: Fit) -> Iterator[tuple[list[int], str]]:
         yield which, {"m": f"lengths of {of}", "rad": f"angles of {of}"}.get(unit, f"{of} in {unit}")
 
 
-def _off(fit: Fit) -> Array:
-    """Return how far (p,) parameters are from the centres of their priors, in SI units."""
-    off = fit.values - np.array([parameter.centre or 0.0 for parameter in fit.parameters])
-    frames, setups = fit.machine.frames, fit.measurements[0].setups
-    layout = Layout.of(fit.model.robot, frames)
-    for k, parameter in enumerate(fit.parameters):
-        if parameter.kind == "base" and parameter.prior is not None:
-            s, component = layout.frame_of(parameter)
-            known = fit.model.known_base(setups[s])
-            assert known is not None, "a prior is about a pose"
-            base = frames.bases[s]
-            moved = [base[:3, 3] - known.pose[:3, 3], rigid.log3(known.pose[:3, :3].T @ base[:3, :3])]
-            off[k] = np.concatenate(moved)[component]
-    return np.asarray(off)
-
-
-def _judged(fit: Fit, which: IntArray, off: Array, what: str) -> tuple[float, str] | None:
-    """Return by how many times their prior the farthest of parameters is ``off`` (k,), and what to say, if any."""
+def _judged(fit: Fit, which: IntArray, what: str, parts: Sequence[Stretch]) -> _Wrong | None:
+    """Return what is to be said of parameters with one prior; nothing where it is right."""
     parameters = [fit.parameters[k] for k in which]
     prior = float(parameters[0].prior or np.inf)
-    said, directions = np.linalg.eigh(np.eye(len(which)) - fit.spread.of(which) / prior**2)
+    off = np.array([_off(fit, int(k)) for k in which])
+    C = fit.spread.of(which)
+    said, directions = np.linalg.eigh(np.eye(len(which)) - C / prior**2)
     is_told = said > _SAID
     told = int(np.count_nonzero(is_told))
     if not told:
@@ -97,14 +108,40 @@ def _judged(fit: Fit, which: IntArray, off: Array, what: str) -> tuple[float, st
     farther = float(np.sqrt(square / told))
     if farther < _FARTHER or freedom <= 0.0 or exceeded(square, told, freedom) > _SURELY:
         return None
+    weight = np.linalg.solve(np.eye(len(which)) * prior**2 / (1.0 - farther**-2) - C, off)
     most = int(np.argmax(np.abs(off)))
-    return float(np.abs(off[most])) / prior, (
+    sentence = (
         f"The prior of {what} ({_shown(prior, parameters[0].unit)}) is not what the data say: they show them "
         f"{farther:.2g} times as far from what is stated, {parameters[most].name} most, by "
         f"{_shown(off[most], parameters[most].unit, '+')} and more, as the prior holds it back. State how far they may "
-        f"really be{_OR_LEARNED if parameters[0].of_robot else ''}; what the data do not tell is less certain than "
-        "regions say."
+        f"really be{_OR_LEARNED if parameters[0].of_robot else ''}"
     )
+    return _Wrong(what, float(np.abs(off[most])) / prior, _pull(fit, which, weight, parts), sentence)
+
+
+def _off(fit: Fit, k: int) -> float:
+    """Return how far a parameter is from the centre of its prior, in SI units."""
+    parameter = fit.parameters[k]
+    if parameter.kind != "base":
+        return float(fit.values[k]) - (parameter.centre or 0.0)
+    frames = fit.machine.frames
+    s, component = Layout.of(fit.model.robot, frames).frame_of(parameter)
+    known, base = fit.model.known_base(fit.measurements[0].setups[s]), frames.bases[s]
+    assert known is not None, "a prior is about a pose"
+    moved = [base[:3, 3] - known.pose[:3, 3], rigid.log3(known.pose[:3, :3].T @ base[:3, :3])]
+    return float(np.concatenate(moved)[component])
+
+
+def _pull(fit: Fit, which: IntArray, weight: Array, parts: Sequence[Stretch]) -> float:
+    """Return by how many of their standard deviations what is predicted of the rows moves with C_g ``weight`` (k,)."""
+    columns = parts[0].columns
+    units = scales(fit.parameters)[columns]
+    C = fit.spread.of(columns) / np.outer(units, units)
+    own = np.searchsorted(columns, which)
+    step = C[:, own] @ (weight * units[own])
+    moved = sum(float(np.sum((part.J @ step) ** 2)) for part in parts)
+    scatter = sum(float(np.einsum("ndk,kl,ndl->", part.J, C, part.J, optimize=True)) for part in parts)
+    return float(np.sqrt(moved / scatter))
 
 
 def _shown(value: float, unit: str, sign: str = "") -> str:

@@ -121,7 +121,7 @@ def verdict(
             of_arm.lengths(fit, parts),
             of_arm.tool_and_base(fit),
             of_arm.lens(fit),
-            of_arm.warnings((*findings, *contradicted(fit))),
+            of_arm.warnings((*findings, *contradicted(fit, parts))),
         )
         alone = unchecked(residue, "tool")
     shown = (*shown_range(fit, own, held_out), *unshown(fit))
