@@ -18,7 +18,7 @@ from calib.foundations import rigid
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import NUMBER
 from calib.foundations.words import counted
-from calib.measurement.cells import Rows, beginning, is_comment
+from calib.measurement.cells import Rows, beginning, is_comment, lines
 from calib.measurement.orientations import MATRIX
 
 _BETWEEN = re.compile(r"[\s,;]+")
@@ -39,9 +39,7 @@ def from_matrices(data: bytes, where: str) -> Rows | None:
     first = [line.text for line in beginning(data, where) if not is_comment(line.text)]
     if not any(_is_last(_numbers(line)) for line in first[:_LOOKED_AT]):
         return None
-    every = enumerate(data.decode("utf-8-sig", errors="replace").splitlines(), start=1)
-    lines = [(k, line) for k, line in every if line.strip() and not is_comment(line)]
-    rows = [(k, _numbers(line)) for k, line in lines]
+    rows = [(line.number, _numbers(line.text)) for block in lines(data, where) for line in block]
     found, passed = list[tuple[int, list[str]]](), 0
     for k, numbers in rows:
         is_open = bool(found) and len(found[-1][1]) < _WHOLE
