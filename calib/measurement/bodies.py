@@ -12,7 +12,7 @@ import numpy as np
 from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
 from calib.foundations.words import counted, listed
-from calib.measurement.formats.sheet import Sheet
+from calib.measurement.formats.sheet import Sheet, most_values
 from calib.measurement.raw import RawTable, raw_table
 from calib.measurement.roles import numbers_of, points_among, roles
 
@@ -80,6 +80,11 @@ def a_row_for_each_point(sheet: Sheet) -> Sheet:
     ours = [*(f"measured_{axis}{unit}" for axis in "xyz"), "tool"]
     if both := {title.split("[")[0].strip() for title in titles} & {title.split("[")[0].strip() for title in ours}:
         raise MeasurementError(f"{sheet.where}: has a column {min(both)!r} already; call it otherwise.")
+    if (count := len(sheet.rows) * len(points) * (len(rest) + len(ours))) > most_values(sheet.size):
+        raise MeasurementError(
+            f"{sheet.where}: with a row for each of {len(points)} points it has {count} values; allowed are "
+            f"{most_values(sheet.size)}; leave out columns that are not needed."
+        )
     rows = [
         (*(row[k] for k in rest), *(row[k] for k in columns), name)
         for row in sheet.rows
@@ -90,7 +95,7 @@ def a_row_for_each_point(sheet: Sheet) -> Sheet:
     if lost := len(points) * len(sheet.rows) - len(rows):
         empty = counted(lost, "point has an empty cell and is left out", "points have empty cells and are left out")
         remarks.append(empty)
-    return Sheet((*titles, *ours), tuple(rows), sheet.where, (*sheet.remarks, *remarks), sheet.of_part)
+    return Sheet((*titles, *ours), tuple(rows), sheet.where, (*sheet.remarks, *remarks), sheet.of_part, sheet.size)
 
 
 def _names(of: Iterable[Sequence[str]]) -> list[str]:

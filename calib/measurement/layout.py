@@ -17,6 +17,7 @@ from calib.measurement.cells import Line, beginning, cells, is_comment
 # In the order in which they are taken where several divide as well: a comma may also be a decimal one.
 _SEPARATORS = ("\t", ";", "|", ",")
 _LOOKED_AT = 200
+_LONGEST_NAME = 1000
 # Cells of what a spreadsheet has above a table, as "Number" and 7.
 _A_PAIR = 2
 _NAMES = {"\t": "tabs", ";": "semicolons", "|": "bars", " ": "blanks"}
@@ -197,6 +198,14 @@ def is_number_of_name(name: str, inside: str) -> bool:
     (True, False, False)
     """
     return inside.strip().isdigit() and name.rstrip() == name
+
+
+def refuse_long_name(name: str, where: str) -> None:
+    """Raise MeasurementError for a name of which no title is made: every number of a list has it in its own title."""
+    if len(name) > _LONGEST_NAME:
+        raise MeasurementError(
+            f"{where}: the name {shown(name)} has {len(name)} characters; allowed are {_LONGEST_NAME}."
+        )
 
 
 def of_list(name: str, count: int) -> list[str]:

@@ -1,15 +1,17 @@
 """Several points in a row: which of them belong to one body, and a table with a row for each."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 import calib
 from calib.foundations.arrays import Array
-from calib.measurement.bodies import points_of_one_body
-from calib.measurement.formats.sheet import read_sheet
+from calib.measurement.bodies import a_row_for_each_point, points_of_one_body
+from calib.measurement.formats.sheet import Sheet, joined, read_sheet
 from calib.measurement.raw import raw_table
 from tests.support.cases import run
 from tests.support.people import UR10, session, text
@@ -114,6 +116,21 @@ def test_what_has_no_points_of_one_body_is_refused(folder: Path, head: list[str]
     assert (code, out) == (1, "")
     assert said in err
     assert not (folder / "rows.csv").exists()
+
+
+def test_many_points_beside_many_columns_make_no_table_without_end(folder: Path) -> None:
+    """An archive of 180 kB, of rows that come again and again, asked for 320 million cells, and minutes."""
+    turned = Rotation.random(8, random_state=1).as_matrix()
+    places = np.einsum("nij,kj->nki", turned, np.random.default_rng(0).normal(size=(60, 3)))
+    savemat(folder / "m.mat", {f"p{k}": np.tile(places[:, k], (250, 1)) for k in range(60)}, do_compression=True)
+    titles = [f"rest {k}" for k in range(50)]
+    sheet = joined(read_sheet("m.mat"), Sheet(tuple(titles), (("0",) * 50,) * 2000, "rest"))
+    with pytest.raises(
+        calib.MeasurementError,
+        match=r"with a row for each of 61 points it has 6222000 values; allowed are 5000000; leave out columns that ",
+    ):
+        a_row_for_each_point(sheet)
+    assert len(a_row_for_each_point(replace(sheet, size=6_222_000)).rows) == 122_000
 
 
 def test_a_column_that_is_there_already_is_refused(folder: Path) -> None:

@@ -17,6 +17,7 @@ from scipy.io import savemat
 
 import calib
 from calib.measurement.formats import arrays, workbook
+from calib.measurement.formats import sheet as sheet_
 from calib.measurement.formats.sheet import Sheet, joined, read_sheet
 from calib.measurement.table import read_table
 from tests.support.cases import run
@@ -96,6 +97,15 @@ def test_matrices_in_a_text(folder: Path, form: str) -> None:
     assert names.orientation == "matrix"
     assert [names.names[key] for key in ("wrist_3_joint [deg]", "x [mm]")] == ["column 6", "x"]
     assert names.names.get("r12", "r12") == "r12"
+
+
+@pytest.mark.parametrize("mark", ["\f", "\v", "\x1c", "\x85", "\u2028"])
+def test_a_mark_that_ends_lines_for_python_alone_tears_no_matrix(folder: Path, mark: str) -> None:
+    """It was a traceback: a line of four numbers in the beginning, and none of four when it was read."""
+    (folder / "m.txt").write_text(f"0 0{mark}0 1\n" * 3)
+    assert read_sheet("m.txt").titles == tuple(f"column {k + 1}" for k in range(4))
+    (folder / "m.txt").write_text(f"1 0 0 5\n0 1 0{mark}6\n0 0 1 7\n0 0 0 1\n")
+    assert read_sheet("m.txt").rows == (("1", "0", "0", "5", "0", "1", "0", "6", "0", "0", "1", "7"),)
 
 
 def test_a_text_of_matrices_that_are_torn_or_none(folder: Path) -> None:
@@ -248,6 +258,67 @@ def test_a_hundred_columns_that_may_name_rows_are_tried_quickly(turned: bool) ->
     else:
         assert len(joined(first, second).rows) == n
     assert time.process_time() - begun < 5.0
+
+
+def test_of_many_names_fewer_columns_may_name_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two archives of 126 kB, of 100 columns and 40 000 rows, took more than 85 s, and a gigabyte."""
+    monkeypatch.setattr(sheet_, "_MOST_NAMES", 1000)
+    looked_at: list[int] = []
+    partners = sheet_._have_partners
+
+    def counted(first: dict[str, int], second: dict[str, int]) -> bool:
+        looked_at.append(1)
+        return partners(first, second)
+
+    monkeypatch.setattr(sheet_, "_have_partners", counted)
+    n, each = 100, 50
+    rows = tuple((str(k),) * each for k in range(n - 1))
+    rows = (*rows, tuple(str(n + k) for k in range(each)))
+    first, second = (Sheet(tuple(f"{name}{k}" for k in range(each)), rows, name) for name in "ab")
+    assert joined(first, second).remarks == (f"{n} rows joined by 'a0' and 'b0'",)
+    assert len(looked_at) == 10 * 10
+    looked_at.clear()
+    # The one that --by names is looked at wherever it stands, and so are all that it may go with.
+    assert joined(first, second, "a49").remarks == (f"{n} rows joined by 'a49' and 'b49'",)
+    assert len(looked_at) == each
+
+
+def archive(path: Path, name: str) -> None:
+    data = io.BytesIO()
+    np.save(data, np.zeros((2, 9)))
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr(f"{name}.npy", data.getvalue())
+
+
+def test_a_name_that_all_numbers_of_a_list_would_have_is_not_too_long(folder: Path) -> None:
+    """Names of 900 kB, of a thousand numbers each, took gigabytes and half a minute."""
+    long, many = "K" * 9_000, list(range(1000))
+    (folder / "a.json").write_text(json.dumps([{long: many}]))
+    (folder / "b.yaml").write_text(f"- ? {long}\n  : {many}\n")
+    (folder / "c.txt").write_text(f"b {long} = {many}\nb {long} = {many}\n")
+    (folder / "d.csv").write_text(f"{long};b\n{many[:100]};{many[:3]}\n{many[:100]};{many[:3]}\n")
+    archive(folder / "e.npz", long[:1001])
+    for name in ("a.json", "b.yaml", "c.txt", "d.csv", "e.npz"):
+        with pytest.raises(
+            calib.MeasurementError, match=r"the name 'K+\.\.\.' has \d+ characters; allowed are 1000\.$"
+        ):
+            read_sheet(name)
+    archive(folder / "e.npz", long[:1000])
+    assert len(read_sheet("e.npz").titles) == 9
+
+
+def test_empty_cells_beside_a_long_list_are_no_values_without_end(folder: Path) -> None:
+    """A list of 40 000 numbers above 200 000 rows without one took 8 GB."""
+    (folder / "a.csv").write_text("a;b\n" + f"[{'1 ' * 600}];[1 2 3]\n" + "0;[1 2 3]\n" + ";\n" * 9000)
+    assert len(read_sheet("a.csv").titles) == 4  # a cell that is none leaves all as they are
+    (folder / "a.csv").write_text("a;b\n" + f"[{'1 ' * 600}];[1 2 3]\n" + ";1\n" * 9000)
+    with pytest.raises(
+        calib.MeasurementError,
+        match=r"a\.csv: as a table, with a column for each of 600 numbers in 'a', it has more than 5000000 values\.$",
+    ):
+        read_sheet("a.csv")
+    (folder / "a.csv").write_text("a;b\n" + f"[{'1 ' * 600}];[1 2 3]\n" + ";1\n" * 7000)
+    assert len(read_sheet("a.csv").titles) == 601
 
 
 def test_what_stands_beside_records_is_told(folder: Path) -> None:

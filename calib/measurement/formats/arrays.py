@@ -21,7 +21,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
 from calib.foundations.words import counted, listed
 from calib.measurement.cells import Rows
-from calib.measurement.layout import of_list
+from calib.measurement.layout import of_list, refuse_long_name
 
 # Of the archive unpacked.
 _LARGEST = 200_000_000
@@ -111,6 +111,8 @@ def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[s
         raise MeasurementError(f"{where}: has {width} columns; allowed are {_MOST_COLUMNS}.")
     if width * rows > _MOST_VALUES:
         raise MeasurementError(f"{where}: has {width * rows} values; allowed are {_MOST_VALUES}.")
+    for name in taken:
+        refuse_long_name(name, where)
     columns = [column for name, array in taken.items() for column in _columns(name, array)]
     left = [name for name in names if name not in taken]
     what = "is no array" if len(left) == 1 else "are no arrays"

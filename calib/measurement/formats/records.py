@@ -14,7 +14,7 @@ from calib.foundations.json_text import UnreadableError, unique_names, whole_num
 from calib.foundations.words import counted, listed, shown
 from calib.measurement.cells import Rows
 from calib.measurement.formats.yaml_events import read_yaml, written
-from calib.measurement.layout import is_number
+from calib.measurement.layout import is_number, refuse_long_name
 
 _DEEPEST = 8
 _MOST_CELLS = 5_000_000
@@ -190,6 +190,7 @@ def _flat(node: Any, name: str, depth: int, where: str) -> Iterator[tuple[str, s
     """Yield the name and the text of every value of a record."""
     if depth > _DEEPEST:
         raise MeasurementError(f"{where}: is nested too deep.")
+    refuse_long_name(name, where)
     if isinstance(node, Mapping):
         names, positions = node.get("name"), node.get("position")
         if (

@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calib.foundations.csv_text import csv_text
@@ -17,8 +17,11 @@ from calib.measurement.layout import is_number, layout, name_and_unit, with_poin
 _MOST_COLUMNS = 1000
 # Files other than plain tables are held as cells of text: some hundred bytes each.
 _LARGEST = 200_000_000
-# Columns that may name rows: no sheet names its rows so often.
-_MOST_NAMING = 100
+# Of what comes of cells in several columns or rows, or one for each byte where that is more.
+_MOST_VALUES = 5_000_000
+# Columns that may name rows: no sheet names its rows so often. Each is compared with each of another sheet, name by
+# name, so that of many names there are fewer.
+_MOST_NAMING, _FEWEST_NAMING, _MOST_NAMES = 100, 3, 1_000_000
 _XML = (b"<?xml", b"<!--", b"<robot")
 
 
@@ -26,6 +29,7 @@ _XML = (b"<?xml", b"<!--", b"<robot")
 class Sheet:
     """Cells of text below ``titles``; ``remarks``: how they were had; ``of_part``: of one of several parts of a log.
 
+    ``size``: bytes of the files that they are from.
     Titles, whatever names they are made of, are of one line: a table has a row in a line.
     """
 
@@ -34,6 +38,7 @@ class Sheet:
     where: str
     remarks: tuple[str, ...] = ()
     of_part: bool = False
+    size: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "titles", tuple(map(_of_one_line, self.titles)))
@@ -75,17 +80,22 @@ def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
     data = read_bytes(path, MeasurementError, _LARGEST)
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        return _not_too_wide(_of_log(data, where, part) or _of_text(data, where, part))
+        return _checked(_of_log(data, where, part) or _of_text(data, where, part), data)
     titles, rows, said = reader(data, where)
     if not rows or not titles:
         raise MeasurementError(f"{where}: has no rows.")
-    return _not_too_wide(Sheet(tuple(titles), tuple(map(tuple, rows)), where, said))
+    return _checked(Sheet(tuple(titles), tuple(map(tuple, rows)), where, said), data)
 
 
-def _not_too_wide(sheet: Sheet) -> Sheet:
+def most_values(size: int) -> int:
+    """Return how many values may come of files of so many bytes, in more columns or rows than they have."""
+    return max(_MOST_VALUES, size)
+
+
+def _checked(sheet: Sheet, data: bytes) -> Sheet:
     if len(sheet.titles) > _MOST_COLUMNS:
         raise MeasurementError(f"{sheet.where}: has {len(sheet.titles)} columns; allowed are {_MOST_COLUMNS}.")
-    return sheet
+    return replace(sheet, size=len(data))
 
 
 def _of_log(data: bytes, where: str, part: str | None) -> Sheet | None:
@@ -124,7 +134,7 @@ def _of_text(data: bytes, where: str, part: str | None) -> Sheet:
     except MeasurementError as e:
         refused = e
     if sheet is not None and _is_whole(sheet):
-        titles, rows, said = statements.expanded(sheet.titles, sheet.rows, where)
+        titles, rows, said = statements.expanded(sheet.titles, sheet.rows, where, most_values(len(data)))
         return _with_names_of_log(Sheet(tuple(titles), tuple(map(tuple, rows)), where, (*sheet.remarks, *said)))
     found = statements.from_statements(data, where, part)
     if found is not None:
@@ -162,17 +172,18 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
     """
     if by == "order":
         return _in_order(first, second, "in order each row needs one beside it")
-    own, other = _naming(first), _naming(second)
+    own, other = _naming(first, by), _naming(second, by)
     ways = [
         (a, b)
         for a, words in own.items()
         for b, others in other.items()
-        if by in (None, first.titles[a], second.titles[b])
-        and len(words.keys() & others.keys()) == min(len(words), len(others))
+        if by in (None, first.titles[a], second.titles[b]) and _have_partners(words, others)
     ]
     pairs = _partners(own[ways[0][0]], other[ways[0][1]]) if ways else []
-    # One by one, and no more than the first that differs: a hundred columns of each are ten thousand ways.
-    if any(_partners(own[a], other[b]) != pairs for a, b in ways[1:]):
+    # One by one, and no more than the first that differs: a hundred columns of each are ten thousand ways. Columns of
+    # the same names are one object, and are looked at once.
+    more = {(id(own[a]), id(other[b])): (own[a], other[b]) for a, b in ways[1:]}
+    if any(_partners(words, others) != pairs for words, others in more.values()):
         naming = dict.fromkeys(first.titles[a] for a, _ in ways)
         raise MeasurementError(
             f"{first.where}, {second.where}: rows could be joined by {listed(naming)}; say which by --by, or --by "
@@ -198,7 +209,8 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
         if len(sheet.rows) > len(rows)
     ]
     titles = _apart(first.titles, [second.titles[k] for k in rest])
-    return Sheet(titles, rows, first.where, (*first.remarks, *second.remarks, *said))
+    remarks = (*first.remarks, *second.remarks, *said)
+    return Sheet(titles, rows, first.where, remarks, size=first.size + second.size)
 
 
 def _in_order(first: Sheet, second: Sheet, refused: str) -> Sheet:
@@ -208,7 +220,8 @@ def _in_order(first: Sheet, second: Sheet, refused: str) -> Sheet:
         )
     rows = tuple((*a, *b) for a, b in zip(first.rows, second.rows, strict=True))
     said = f"{counted(len(rows), 'row')} joined in their order"
-    return Sheet(_apart(first.titles, second.titles), rows, first.where, (*first.remarks, *second.remarks, said))
+    remarks = (*first.remarks, *second.remarks, said)
+    return Sheet(_apart(first.titles, second.titles), rows, first.where, remarks, size=first.size + second.size)
 
 
 def stacked(sheets: Sequence[Sheet], title: str) -> Sheet:
@@ -236,7 +249,8 @@ def stacked(sheets: Sequence[Sheet], title: str) -> Sheet:
     rows = tuple((*row, name) for sheet, name in zip(sheets, names, strict=True) for row in sheet.rows)
     said = f"{counted(len(sheets), 'file')} one below the other; {title!r} is the name of each"
     remarks = [remark for sheet in sheets for remark in sheet.remarks]
-    return Sheet((*first.titles, title), rows, first.where, (*dict.fromkeys(remarks), said))
+    size = sum(sheet.size for sheet in sheets)
+    return Sheet((*first.titles, title), rows, first.where, (*dict.fromkeys(remarks), said), size=size)
 
 
 def _names_of_files(paths: Sequence[Path]) -> list[str]:
@@ -248,14 +262,21 @@ def _names_of_files(paths: Sequence[Path]) -> list[str]:
     return next((names for names in (plain, *tried) if len(set(names)) == len(names)), plain)
 
 
-def _naming(sheet: Sheet) -> dict[int, dict[str, int]]:
-    """Return the rows of the names in columns that may name rows, by number: two or more, each once; no decimals."""
+def _naming(sheet: Sheet, by: str | None) -> dict[int, dict[str, int]]:
+    """Return the rows of the names in columns that may name rows, by number: two or more, each once; no decimals.
+
+    Those with the title ``by`` are the first; where another sheet has it, one column is compared with all of this.
+    """
     found: dict[int, dict[str, int]] = {}
-    for k in range(len(sheet.titles)):
+    alike: dict[tuple[str, ...], dict[str, int]] = {}
+    most = _MOST_NAMING
+    if by is None or by in sheet.titles:
+        most = min(most, max(_FEWEST_NAMING, _MOST_NAMES // max(1, len(sheet.rows))))
+    for k in sorted(range(len(sheet.titles)), key=lambda k: sheet.titles[k] != by):
         rows = {_name(row[k]): number for number, row in enumerate(sheet.rows)}
         if len(rows) > 1 and "" not in rows and len(rows) == len(sheet.rows):
-            found[k] = rows
-            if len(found) == _MOST_NAMING:
+            found[k] = alike.setdefault(tuple(rows), rows)
+            if len(found) == most:
                 break
     return found
 
@@ -266,6 +287,12 @@ def _name(cell: str) -> str:
         value = float(cell)
         return str(int(value)) if math.isfinite(value) and value == int(value) else ""
     return cell.strip().lower()
+
+
+def _have_partners(first: Mapping[str, int], second: Mapping[str, int]) -> bool:
+    """Return whether all names of one are among those of the other."""
+    few, many = sorted((first, second), key=len)
+    return few is many or few.keys() <= many.keys()
 
 
 def _partners(first: Mapping[str, int], second: Mapping[str, int]) -> list[tuple[int, int]]:

@@ -20,7 +20,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.units import symbol_of
 from calib.foundations.words import counted, shown
 from calib.measurement.cells import Rows
-from calib.measurement.layout import is_number, of_list
+from calib.measurement.layout import is_number, of_list, refuse_long_name
 
 # Words, numbers and signs take some hundred bytes each.
 _LARGEST = 5_000_000
@@ -117,7 +117,7 @@ def from_statements(data: bytes, where: str, part: str | None = None) -> Rows | 
             f"{where}: has several kinds of lines with numbers in brackets: {told}{more}; say by --topic WORD which "
             "are meant, a word that the others do not have, or keep only these."
         )
-    titles, rows = _table(kinds[0])
+    titles, rows = _table(kinds[0], where)
     said = [f"{counted(len(rows), 'row')} as {_told(kinds[0][0])}"]
     said += [counted(others, "other line is passed over", "other lines are passed over")] if others else []
     return titles, rows, tuple(said)
@@ -127,10 +127,13 @@ def _told(statement: _Statement) -> str:
     return f"{shown(' '.join(token.text for token in statement.tokens[:12]))} (line {statement.tokens[0].line})"
 
 
-def expanded(titles: Sequence[str], rows: Sequence[Sequence[str]], where: str) -> Rows:
-    """Return a table with columns for cells that are lists of numbers; raises MeasurementError for other lengths."""
+def expanded(titles: Sequence[str], rows: Sequence[Sequence[str]], where: str, most: int) -> Rows:
+    """Return a table with columns for cells that are lists of numbers, and empty ones where such a cell is empty.
+
+    ``most``: how many values it may have. Raises MeasurementError where it has more, or lists have other lengths.
+    """
     columns: list[tuple[str, Sequence[str]]] = []
-    said = []
+    said, room = [], most // len(rows) - len(titles)
     for title, cells in zip(titles, zip(*rows, strict=True), strict=True):
         lists = [list_of(cell) for cell in cells]
         if any(found is None and cell for found, cell in zip(lists, cells, strict=True)) or not any(lists):
@@ -142,6 +145,13 @@ def expanded(titles: Sequence[str], rows: Sequence[Sequence[str]], where: str) -
                 raise MeasurementError(
                     f"{where}: row {number} has {len(found)} numbers in {shown(title)}, and others have {count}."
                 )
+        refuse_long_name(title, where)
+        room -= count - 1
+        if room < 0:
+            raise MeasurementError(
+                f"{where}: as a table, with a column for each of {count} numbers in {shown(title)}, it has more than "
+                f"{most} values."
+            )
         filled = [found or [""] * count for found in lists]
         columns += zip(of_list(title, count), zip(*filled, strict=True), strict=True)
         said.append(f"{shown(title)} is a list of {count} numbers in each row")
@@ -294,15 +304,15 @@ def _is_label(words: Sequence[str]) -> bool:
     return min(Counter(words).values()) > 1 and not any(c.isdigit() for word in set(words) for c in word)
 
 
-def _table(kind: Sequence[_Statement]) -> tuple[list[str], list[list[str]]]:
-    """Return titles and cells of statements of one kind."""
+def _table(kind: Sequence[_Statement], where: str) -> tuple[list[str], list[list[str]]]:
+    """Return titles and cells of statements of one kind; raises MeasurementError for a list of a long name."""
     cells = {
         k: [statement.tokens[k].text for statement in kind]
         for k, token in enumerate(kind[0].tokens)
         if token.kind != "sign"
     }
     constant = {k for k, words in cells.items() if kind[0].tokens[k].kind != "number" and len(set(words)) == 1}
-    titles = _titles(kind[0].tokens, constant)
+    titles = _titles(kind[0].tokens, constant, f"{where}:{kind[0].tokens[0].line}")
     columns = {k: cells[k] for k in titles if not all(map(_is_no_axis, cells[k]))}
     named = [titles[k] for k in columns]
     if not any(named):
@@ -320,7 +330,7 @@ def _is_no_axis(cell: str) -> bool:
     return is_number(cell, ",") and float(cell) == _NO_AXIS
 
 
-def _titles(tokens: Sequence[_Token], constant: AbstractSet[int]) -> dict[int, str]:
+def _titles(tokens: Sequence[_Token], constant: AbstractSet[int], where: str) -> dict[int, str]:
     """Return the title of every number, and of every word that is not the same in all rows; "" where nothing says it.
 
     A word before a number is its title. One before brackets, or in them, is that of all numbers there that have no
@@ -352,5 +362,6 @@ def _titles(tokens: Sequence[_Token], constant: AbstractSet[int]) -> dict[int, s
                 base = ""
     for word, own in lists:
         if len(own) > 1:
+            refuse_long_name(word, where)
             titles.update(zip(own, of_list(word, len(own)), strict=True))
     return {k: f"{title} [{units[k]}]" if k in units else title for k, title in titles.items()}
