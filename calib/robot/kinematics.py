@@ -306,9 +306,7 @@ class Weighed:
     def __init__(self, tree: Tree, masses: Sequence[Mass]) -> None:
         model = _model(tree)
         for body in masses:
-            model.appendBodyToJoint(
-                body.joint + 1, pin.Inertia(body.mass, body.centre, body.inertia), pin.SE3.Identity()
-            )
+            model.appendBodyToJoint(body.joint + 1, _inertia(body), pin.SE3.Identity())
         self._model, self._data = model, model.createData()
 
     def holding(self, q: Array, gravity: Array) -> Array:
@@ -333,6 +331,16 @@ class Weighed:
             model.gravity.linear = g
             found[n] = pin.rnea(model, data, q_n, v, a)
         return found
+
+
+def _inertia(body: Mass) -> pin.Inertia:
+    """Return a mass as it is stated: many URDFs have inertias that no body has, which bear on nothing at rest.
+
+    Pinocchio's constructor refuses these, also where a CAD program wrote -5e-20 for zero.
+    """
+    found = pin.Inertia.Zero()
+    found.mass, found.lever, found.inertia = body.mass, body.centre, body.inertia
+    return found
 
 
 def _model(tree: Tree) -> pin.Model:

@@ -212,6 +212,17 @@ def test_masses_are_read() -> None:
     assert found.centre.tolist() == [0.0, 0.0, 0.1]
 
 
+@pytest.mark.parametrize("diagonal", [(-5e-20, -5e-20, 0.0), (-1e-3, 2e-3, 0.0)])
+def test_inertias_that_no_body_has_bear_on_nothing_at_rest(diagonal: tuple[float, float, float]) -> None:
+    inertia = '<inertia ixx="{}" ixy="1e-9" ixz="0" iyy="{}" iyz="0" izz="{}"/>'.format(*diagonal)
+    u = np.random.default_rng(5).uniform(-1.0, 1.0, (3, 6))
+    held = []
+    for link in (WEIGHED, WEIGHED.replace("</inertial>", f"{inertia}</inertial>")):
+        text = machines.INLINE["skew"].replace('<link name="tip"/>', link)
+        held.append(Holding(weights_of(load_robot(parse_urdf(text.encode(), "arm.urdf"), "tip")))(u))
+    np.testing.assert_array_equal(held[0], held[1])
+
+
 def test_a_branch_that_moves_without_the_chain_is_refused() -> None:
     with pytest.raises(RobotError, match=r"link 'crank' moves with the reading 'joint_3' but .* close its loop"):
         weights_of(calib.load_robot(IRB, "tool0"))
