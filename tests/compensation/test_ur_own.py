@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import calib
+from calib.compensation.controllers.ur import JOINTS
 from calib.compensation.controllers.ur_own import with_ur_kinematics
 from calib.foundations.errors import RobotError
 from calib.robot.urdf import parse_urdf, read_urdf
@@ -58,6 +59,22 @@ def test_calibration_conf(seed: int | None) -> None:
     np.testing.assert_allclose(robot.tips(q)[:, :3, 3], should[:, :3, 3], rtol=0.0, atol=2e-6)
     np.testing.assert_allclose(robot.tips(q)[:, :3, :3], should[:, :3, :3], rtol=0.0, atol=2e-6)
     assert max(float(np.abs(joint.origin[:3, 3]).max()) for joint in parse_urdf(urdf, "own").joints) < 1.0
+
+
+def test_a_urdf_of_a_dh_table_has_frames_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its joints turn about z as the driver's do, but stand elsewhere on their axes: it was taken for the driver's."""
+    monkeypatch.chdir(tmp_path)
+    rows = zip(JOINTS, A, D, ALPHA, strict=True)
+    table = "convention, standard\nbase, 0 m, 0 m, 0 m, 0 deg, 0 deg, 180 deg\n"
+    table += "joint, a [m], d [m], alpha [rad], theta [rad]\n"
+    Path("dh.csv").write_text(table + "".join(f"{joint}, {a}, {d}, {alpha}, 0\n" for joint, a, d, alpha in rows))
+    assert run("dh", "dh.csv", "-o", "dh.urdf", "-q") == (0, "", "")
+    nominal = parse_urdf(Path("dh.urdf").read_bytes().replace(b'"tip"', b'"tool0"'), "dh.urdf")
+    deltas = some(1)
+    robot = calib.load_robot(parse_urdf(with_ur_kinematics(nominal, conf(deltas)), "own"), "tool0", "base_link")
+    q = np.random.default_rng(2).uniform(-3.0, 3.0, (20, 6))
+    should = tips(q, deltas["theta"], A + deltas["a"], D + deltas["d"], ALPHA + deltas["alpha"])
+    np.testing.assert_allclose(robot.tips(q), should, rtol=0.0, atol=2e-6)
 
 
 def test_what_is_exported_for_the_driver_comes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

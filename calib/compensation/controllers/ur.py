@@ -168,7 +168,8 @@ def slides_of(nominal: Robot, to_tool: Array) -> Array:
     for joint, is_, should in zip(JOINTS, G[:, :3, 2], turned[:, :, 2], strict=True):
         if np.linalg.norm(is_ - should) > _SAME_AXIS:
             raise _not_ur(nominal, f"has the axis of {joint!r} along {np.round(is_, 3).tolist()} at zero")
-    if all(np.array_equal(joint.frame, np.eye(4)) for joint in nominal.chain):
+    turns = all(np.array_equal(joint.frame, np.eye(4)) for joint in nominal.chain)
+    if turns and np.abs(to_tool - np.eye(4)).max() < _SAME_TOOL:
         return np.stack([np.eye(4)] * 6)  # the driver's frames already; makers' calibrations slide them far
     p, z = G[:, :3, 3], G[:, :3, 2]
     heights = [_foot(p[k], z[k], p[n], z[n]) for k, n in ((0, 1), (1, 0))]
