@@ -246,11 +246,17 @@ def assess(
     findings = looks_wrong(fit.model, own) if findings is None else findings
     told = any(finding.code == "not-held-out" for finding in findings)
     findings = (*findings, *([] if told else _not_held_out(own, validation)), *_off_least_squares(fit))
-    found = outliers(fit, files={table.where: name for name, table in zip(given, own, strict=False)})
+    files = {table.where: name for name, table in zip(given, own, strict=False)}
+    found = outliers(fit, files=files)
     moved = tables_with_own_base(fit.model, machine, sets)
-    judged_fit = verdict(fit, machine, sets, found, findings, moved)
+    # Sentences call tables what the calibration calls them, and not what they are called on this computer.
+    called = replace(
+        fit, measurements=tuple(replace(data, where=files.get(data.where, data.where)) for data in fit.measurements)
+    )
+    judged_sets = [judged._replace(data=replace(judged.data, where=judged.file)) for judged in sets]
+    judged_fit = verdict(called, machine, judged_sets, found, findings, moved)
     if residual_model is None and trace is None:
-        judged_fit = with_cause(judged_fit, fit, sets)
+        judged_fit = with_cause(judged_fit, called, judged_sets)
     return Calibration(
         fit,
         machine,

@@ -5,6 +5,7 @@ import io
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -109,6 +110,16 @@ def test_result_does_not_depend_on_where_it_was_made(case: Path, out: Path, monk
     outcome = identify(load(Path(JOB)))
     assert results.result_json(outcome) == (out / "result.json").read_text(encoding="utf-8")
     assert results.residual_table(outcome) == (out / "residuals.csv").read_text(encoding="utf-8")
+
+
+def test_doubts_call_a_table_what_the_job_does(case: Path) -> None:
+    """And not what it is called on this computer: reports are sent to others."""
+    inputs = load(case / JOB)
+    (data,) = inputs.identify
+    moved = np.where(np.arange(len(data))[:, None] > len(data) // 2, [5e-3, 0.0, 0.0], 0.0)
+    doubted = identify(replace(inputs, identify=(replace(data, position=data.position + moved),)))
+    (said,) = (check.sentence for check in doubted.checks if check.name == "jump")
+    assert said.startswith(f"{TABLE}:") and " seems to have changed, by " in said
 
 
 def test_residuals_give_the_metrics(out: Path, outcome: Calibration) -> None:
