@@ -13,7 +13,7 @@ absorbs is no mistake. Two mistakes at once are not searched; no single one expl
 Photographs of a board are taken for the poses that they show (:mod:`calib.identification.photographed_poses`).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from typing import Literal
@@ -78,6 +78,8 @@ _PROMISING = 8
 _LISTED = 3
 
 _NEGLIGIBLE = 1e-10
+# Numbers in tables are not written finer; what leaves less explains all.
+_ROUNDED = 1e-6
 
 Mend = Callable[[Measurements], Measurements]
 
@@ -138,23 +140,25 @@ def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple
 
 @dataclass(frozen=True, slots=True)
 class Apart:
-    """What each table has of its own: its ``tool``, or its ``setup``; by how much the nominal robot misses all of them.
+    """What each table has of its own: its ``tool``, its ``setup``, or both; by how much the nominal robot misses them.
 
     ``missed``: with one for all, ``left``: with one of each, rms in m.
     """
 
-    what: Literal["tool", "setup"]
+    what: tuple[Literal["tool", "setup"], ...]
     missed: float
     left: float
 
     @property
     def sentence(self) -> str:
         """It, with the evidence."""
-        said = (
-            "the tool is another one in each" if self.what == "tool" else "robot or instrument stood elsewhere in each"
-        )
+        said = {
+            "tool": "the tool is another one in each",
+            "setup": "robot or instrument stood elsewhere in each",
+        }
         return (
-            f"{said}: the arm misses them by {_mm(self.missed)} with one for all, and by {_mm(self.left)} with its own"
+            f"{' and '.join(said[what] for what in self.what)}: the arm misses them by {_mm(self.missed)} with one for "
+            f"all, and by {_mm(self.left)} with its own"
         )
 
 
@@ -171,7 +175,7 @@ def apart(model: ErrorModel, measurements: Sequence[Measurements]) -> Apart | No
         best = _likeliest(_trials_of_tables(model, sets))[0]
         if missed <= _CLEARLY * best.miss or best.miss > _EXPLAINED * reach:
             return None
-        return Apart("tool" if best.mistake is _TABLES[0] else "setup", missed, best.miss)
+        return Apart(_OF_TABLES[best.mistake.code], missed, best.miss)
 
 
 def _signatures(model: ErrorModel, sets: Sequence[Measurements], camera_on: CameraPlace | None) -> tuple[Finding, ...]:
@@ -347,7 +351,7 @@ def _trials(
 
 def _likeliest(trials: Sequence[_Trial]) -> list[_Trial]:
     """Return trials, the best first."""
-    least = min(map(_counted, trials))
+    least = max(min(map(_counted, trials)), _ROUNDED)
     # The same to rounding: the order of the table, the most typical first, decides.
     return sorted(trials, key=lambda trial: max(trial.counted, _SAME * least))
 
@@ -355,7 +359,12 @@ def _likeliest(trials: Sequence[_Trial]) -> list[_Trial]:
 def _trials_of_tables(model: ErrorModel, sets: Sequence[Measurements]) -> list[_Trial]:
     """Return trials of what may differ from table to table, and nobody has said: the tool, and where the robot is."""
     every, found = tuple(range(len(sets))), []
-    for mistake, own in zip(_TABLES, (replace(model, tool="pose"), replace(model, base="pose")), strict=True):
+    for mistake in _TABLES:
+        own = model
+        if "tool" in _OF_TABLES[mistake.code]:
+            own = replace(own, tool="pose")
+        if "setup" in _OF_TABLES[mistake.code]:
+            own = replace(own, base="pose")
         mended = with_common_names(own, [mistake.mend(data) for data in sets])
         found.append(_Trial(mistake, every, _reached(_miss, own, mended)))
     return found
@@ -601,7 +610,12 @@ def _set_up_of_its_own(data: Measurements) -> Measurements:
     return replace(data, setups=tuple(f"{name} of {data.where}" for name in data.setups))
 
 
-# What differs from table to table; each is to be named in the job.
+def _both_of_its_own(data: Measurements) -> Measurements:
+    return _tool_of_its_own(_set_up_of_its_own(data))
+
+
+# What differs from table to table; each is to be named in the job. Both together explain no less than one of them, and
+# count only where they leave a third of it.
 _TABLES = (
     Mistake("own-tools", 'each table has a tool of its own, which tool = "..." names for each', _tool_of_its_own),
     Mistake(
@@ -609,7 +623,19 @@ _TABLES = (
         'robot or instrument stood elsewhere in each table, which setup = "..." names for each',
         _set_up_of_its_own,
     ),
+    Mistake(
+        "own-tools-and-set-ups",
+        'each table has a tool of its own, and robot or instrument stood elsewhere in each, which tool = "..." and '
+        'setup = "..." name for each',
+        _both_of_its_own,
+        shrink=_CLEARLY,
+    ),
 )
+_OF_TABLES: Mapping[str, tuple[Literal["tool", "setup"], ...]] = {
+    "own-tools": ("tool",),
+    "own-set-ups": ("setup",),
+    "own-tools-and-set-ups": ("tool", "setup"),
+}
 _READING_UNITS: tuple[tuple[str, float, str], ...] = (
     ("angle", DEG, "degrees stand under [rad] in all angles"),
     ("angle", 1.0 / DEG, "radians stand under [deg] in all angles"),

@@ -137,7 +137,7 @@ def _shared_out(tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, .
 
 
 def _named_apart(robot: Robot, tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, ...], list[str]]:
-    """Name tools, or set-ups, by their files where each table has one of its own."""
+    """Name tools, set-ups, or both by their files where each table has one of its own."""
     own = [table for table in tables if table.use == "identify"]
     if len(own) < 2 or not all(table.observes in ("position", "pose") for table in own):
         return tuple(tables), []
@@ -150,16 +150,19 @@ def _named_apart(robot: Robot, tables: Sequence[ProposedTable]) -> tuple[tuple[P
     if found is None:
         return tuple(tables), []
     # Where a column names them row by row, no name of the whole table may stand beside it.
-    if any((each.tools if found.what == "tool" else each.setups) not in _UNNAMED for each in data):
+    here = {"tool": [each.tools for each in data], "setup": [each.setups for each in data]}
+    if any(names not in _UNNAMED for what in found.what for names in here[what]):
         return tuple(tables), []
     stems = [Path(table.file).stem for table in own]
     name = {table.file: stem if stems.count(stem) == 1 else table.file for table, stem in zip(own, stems, strict=True)}
     named = tuple(
-        table
-        if table.use != "identify"
-        else replace(table, tool=name[table.file])
-        if found.what == "tool"
-        else replace(table, setup=name[table.file])
+        replace(
+            table,
+            tool=name[table.file] if "tool" in found.what else table.tool,
+            setup=name[table.file] if "setup" in found.what else table.setup,
+        )
+        if table.use == "identify"
+        else table
         for table in tables
     )
     return named, [f"{', '.join(name)}: {found.sentence}."]

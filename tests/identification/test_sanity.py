@@ -455,23 +455,31 @@ def test_a_real_ur10(observes: str) -> None:
 
 
 @pytest.mark.parametrize("observes", ["position", "pose"])
-@pytest.mark.parametrize(("what", "code"), [("tool", "own-tools"), ("setup", "own-set-ups"), (None, None)])
-def test_what_each_table_has_of_its_own_is_named(observes: str, what: str | None, code: str | None) -> None:
+@pytest.mark.parametrize(
+    ("what", "code"),
+    [
+        (("tool",), "own-tools"),
+        (("setup",), "own-set-ups"),
+        (("tool", "setup"), "own-tools-and-set-ups"),
+        ((), None),
+    ],
+)
+def test_what_each_table_has_of_its_own_is_named(observes: str, what: tuple[str, ...], code: str | None) -> None:
     lab = Lab("ur10", observes)
     one = replace(lab.measure(), where="one.csv")
-    if what == "tool":
+    if "tool" in what:
         lab.true = replace(lab.true, tools={"tool": pose((-0.12, 0.09, 0.02), (1.0, 0.4, -0.7))})
-    if what == "setup":
+    if "setup" in what:
         lab.true = replace(lab.true, base=anywhere(lab.rng))
     two = replace(lab.measure(), where="two.csv")
     found = signatures(lab.model(), [one, two])
     assert [finding.code for finding in found] == ([code] if code else [])
     named = sanity.apart(lab.model(), [one, two])
-    assert (named and named.what) == what
-    if what is not None:
-        assert f'{what} = "..." names for each' in found[0].sentence
+    assert (() if named is None else named.what) == what
+    if what:
+        assert " and ".join(f'{name} = "..."' for name in what) + " name" in found[0].sentence
         # Named, nothing is missed.
-        own = [data.named(**{what: str(k)}) for k, data in enumerate((one, two))]
+        own = [data.named(**dict.fromkeys(what, str(k))) for k, data in enumerate((one, two))]
         assert signatures(lab.model(), own) == ()
         assert sanity.apart(lab.model(), own) is None
 

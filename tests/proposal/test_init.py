@@ -108,13 +108,13 @@ def test_a_tracker_that_was_moved_is_told_with_the_row(folder: Path) -> None:
     assert sorted(result["setups"]) == ["7", "8"]
 
 
-def two_tools(folder: Path, named: bool) -> None:
-    """Write two tables, each of a tool of its own; ``named``: a column calls both the same."""
+def two_tools(folder: Path, named: bool, moved: float = 0.0) -> None:
+    """Write two tables, each of a tool of its own; ``named``: a column calls both the same; ``moved``: the base."""
     arm = machines.arm(UR10, "tool0")
     rng = np.random.default_rng(3)
-    for name, at in (("light", (0.05, 0.02, 0.15)), ("heavy", (-0.12, 0.06, 0.03))):
+    for name, at, y in (("light", (0.05, 0.02, 0.15), 0.4), ("heavy", (-0.12, 0.06, 0.03), 0.4 + moved)):
         readings = arm.draw(rng, 40)
-        seen = machines.Machine(arm, machines.pose((2.0, 0.4, 0.1), (0.0, 0.0, 1.1)), {"tool": machines.pose(at)})
+        seen = machines.Machine(arm, machines.pose((2.0, y, 0.1), (0.0, 0.0, 1.1)), {"tool": machines.pose(at)})
         columns = machines.table(arm, readings, seen.see(readings), "position")
         rows = [",".join(f"{v:.9f}" for v in row) for row in np.column_stack(list(columns.values()))]
         lines = [",".join(columns), *rows]
@@ -130,6 +130,21 @@ def test_tables_with_a_tool_of_their_own_name_it(folder: Path) -> None:
     assert "light.csv, heavy.csv: the tool is another one in each: the arm misses" in " ".join(said.out.split())
     job = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))
     assert [table["tool"] for table in job["measurements"]] == ["light", "heavy"]
+    assert run("check", "calibration.toml").code == 0
+
+
+def test_tables_with_a_tool_and_a_set_up_of_their_own_name_both(folder: Path) -> None:
+    """As of a tracker and a tool that are taken away between days: either of the two alone leaves centimetres."""
+    two_tools(folder, named=False, moved=0.8)
+    said = run("init", UR10, "light.csv", "heavy.csv", "--yes")
+    assert (said.code, said.err) == (0, "")
+    told = (
+        "light.csv, heavy.csv: the tool is another one in each and robot or instrument stood elsewhere in each: the arm"
+    )
+    assert told in " ".join(said.out.split())
+    job = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))
+    for what in ("tool", "setup"):
+        assert [table[what] for table in job["measurements"]] == ["light", "heavy"]
     assert run("check", "calibration.toml").code == 0
 
 
