@@ -53,10 +53,14 @@ def columns_alike(tables: "Iterable[MeasurementsSection | _Table]") -> Columns:
 def columns_of_results(folder: Path, observes: Kind) -> Columns:
     """Return how the job of a folder of results read its tables of one kind, as :func:`columns_alike` does.
 
-    A folder that was written from Python has no job: tables are read as they are written. Raises OutputError when the
-    job is not readable.
+    Positions are read as those of its poses were, where it has no others. A folder that was written from Python has no
+    job: tables are read as they are written. Raises OutputError when the job is not readable.
     """
-    return columns_alike(table for table in _tables_of(folder) if table.observes == observes)
+    tables = _tables_of(folder)
+    alike = [table for table in tables if table.observes == observes]
+    if not alike and observes == "position":
+        alike = [table for table in tables if table.observes == "pose"]
+    return columns_alike(alike)
 
 
 def not_new(folder: Path, measurements: Path) -> list[str]:

@@ -41,6 +41,10 @@ def test_from_files_to_a_report_in_two_commands(folder: Path) -> None:
     result = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))
     assert result["trusted"]
     assert result["metrics"]["validation"]["after"]["position"]["rms"] < 1e-4
+    for observes in ((), ("--observes", "pose")):  # of its own titles; positions are asked for where nothing is said
+        verified = run("verify", "out", "measured.csv", *observes)
+        assert (verified.code, verified.err) == (0, "")
+        assert "as calibrated" in verified.out
 
 
 def test_titles_of_any_characters_are_written_whole(folder: Path) -> None:
