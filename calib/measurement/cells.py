@@ -68,6 +68,15 @@ def in_bytes(data: bytes, where: str) -> bytes:
         raise MeasurementError(f"{where}: is not whole UTF-16 text; save it as UTF-8.") from e
 
 
+def whole_text(data: bytes, where: str) -> str:
+    """Return what :func:`in_bytes` returned as text, without its mark, its line ends as one each.
+
+    Raises MeasurementError where it is none.
+    """
+    text = _decoded(data, data, 0, where).removeprefix("\ufeff")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
 def beginning(data: bytes, where: str) -> list[Line]:
     """Return the first lines, comments among them, that are not blank: those of the first block that has any."""
     return next(_blocks(data, where), [])

@@ -162,6 +162,18 @@ def test_a_number_that_is_missing_is_said(folder: Path, contents: str, says: str
     assert says in str(caught.value)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_a_program_is_read_in_each_encoding_of_a_table(folder: Path, encoding: str) -> None:
+    """One that was written in Germany was refused: it was to be UTF-8."""
+    lines = [f"DECL E6AXIS XP{k}={{A1 {k}.5,A2 -41.4,A3 8.6}}" for k in range(3)]
+    (folder / "a.src").write_bytes("\r\n".join(["; Prüfprogramm für Müller", *lines, ""]).encode(encoding))
+    found = read_sheet("a.src")
+    assert (found.titles, found.rows[2]) == (("name", "A1", "A2", "A3"), ("XP2", "2.5", "-41.4", "8.6"))
+    (folder / "a.src").write_bytes("\n".join([*lines, "; \x81 \xfc"]).encode("latin-1"))
+    with pytest.raises(calib.MeasurementError, match=r"^a\.src:4: is not UTF-8 text; save it as UTF-8\.$"):
+        read_sheet("a.src")
+
+
 def test_a_table_with_brackets_in_notes_stays_a_table(folder: Path) -> None:
     sheet = made(
         folder, "n,x,note\n1,2.5,in the box (1, 2, 3)\n2,3.5,\n3,4.5,see [4 5 6] of (7 8 9)\n".replace(", ", " ")

@@ -15,11 +15,10 @@ from collections.abc import Set as AbstractSet
 from types import MappingProxyType
 from typing import NamedTuple
 
-from calib.foundations.csv_text import text_of
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import symbol_of
 from calib.foundations.words import counted, shown
-from calib.measurement.cells import Rows
+from calib.measurement.cells import Rows, whole_text
 from calib.measurement.layout import is_number, of_list, refuse_long_name
 
 # Words, numbers and signs take some hundred bytes each.
@@ -94,7 +93,7 @@ def from_statements(data: bytes, where: str, part: str | None = None) -> Rows | 
     ``part``: a word of those that are meant, where there are several kinds. Raises MeasurementError where it is not
     said, or a bracket is not closed.
     """
-    text = text_of(data, where, MeasurementError).replace("\r\n", "\n").replace("\r", "\n")
+    text = whole_text(data, where)
     if len(text) > _LARGEST:
         raise MeasurementError(f"{where}: has {len(text)} characters with numbers in brackets; allowed are {_LARGEST}.")
     statements = list(_statements(text, where))
