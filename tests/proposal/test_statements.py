@@ -162,6 +162,22 @@ def test_a_number_that_is_missing_is_said(folder: Path, contents: str, says: str
     assert says in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("line", "titles"),
+    [
+        ("DECL E6AXIS XP{0}={{A1 {0}.5,A2 -41.4,A3 8.6}}", ("name", "A1", "A2", "A3")),
+        ("P[{0}]{{J1= {0}.5 deg, J2= -41.4 deg, J3= 8.6 deg}};", ("P", "J1 [deg]", "J2 [deg]", "J3 [deg]")),
+        ("p{0} = dict(a={0}.5, b=-41.4, c=8.6)", ("name", "a", "b", "c")),
+        ("P{0};[a {0}.5; b -41.4; c 8.6]", ("name", "a", "b", "c")),
+    ],
+)
+def test_lines_of_a_program_alone_are_no_table(folder: Path, line: str, titles: tuple[str, ...]) -> None:
+    """Numbers with words before them were torn apart, in silence, and the first line was taken for a header."""
+    found = made(folder, "".join(f"{line.format(k)}\n" for k in range(5)))
+    assert found.titles == titles
+    assert [row[1] for row in found.rows] == [f"{k}.5" for k in range(5)]
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
 def test_a_program_is_read_in_each_encoding_of_a_table(folder: Path, encoding: str) -> None:
     """One that was written in Germany was refused: it was to be UTF-8."""

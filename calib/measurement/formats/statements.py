@@ -180,6 +180,25 @@ def opens_list(word: str) -> bool:
     return at > max(map(word.rfind, _PAIRS)) and (inside[:1].isdigit() or inside[:1] in ("-", "+", "."))
 
 
+def are_torn(cells: Sequence[str]) -> bool:
+    """Return whether the cells of a row are parts of a list in brackets, its numbers with words before them or not.
+
+    >>> are_torn(["XP1={A1 1.5", "A2 -3", "A3 7}"]), are_torn(["1)", "(a", "2"]), are_torn(["[1 2 3]", "(x)"])
+    (True, False, False)
+    """
+    unclosed = any(sum(map(cell.count, _PAIRS.values())) > sum(map(cell.count, _PAIRS)) for cell in cells)
+    return unclosed and holds_list(", ".join(cells))
+
+
+def holds_list(text: str) -> bool:
+    """Return whether a text has a list of numbers in brackets, whatever is beside it.
+
+    >>> holds_list("P[1]{J1= 4.5 deg, J2= 3 deg, J3= 7 deg};"), holds_list("x [mm]")
+    (True, False)
+    """
+    return _lists(_tokens(text, 1)) > 0
+
+
 def begins_list(text: str) -> bool:
     """Return whether a cell, or a title, is a list of numbers in brackets, or the beginning of one."""
     return opens_list(text) or list_of(text) is not None
