@@ -9,7 +9,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, symbol_of
 from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
-from calib.measurement.formats.statements import are_in, opens_list
+from calib.measurement.formats.statements import are_alike, are_in, are_torn, opens_list
 from calib.measurement.layout import is_number, is_number_of_name, layout, name_and_unit
 
 # Enough to tell a unit from another; a table may have a million rows.
@@ -90,7 +90,8 @@ def _whole(data: bytes, where: str) -> RawTable:
                 k += 1
     rows = [cells(line.text, form.separator, f"{where}:{line.number}") for line in picked]
     refuse_ragged(rows, len(form.titles), picked, where)
-    if any(all(map(opens_list, words)) for words in zip(*rows, strict=True)):
+    torn = any(all(map(opens_list, words)) for words in zip(*rows, strict=True)) or all(map(are_torn, rows))
+    if torn or are_alike(form.titles, rows[0]):
         raise of_lists(where)
     columns = [
         _column(title, unit, words, form.separator)

@@ -9,6 +9,7 @@ import pytest
 import calib
 from calib.foundations.arrays import Array
 from calib.measurement.formats.sheet import Sheet, read_sheet
+from calib.measurement.raw import raw_table
 from tests.support.cases import run
 from tests.support.people import UR10, session, text
 
@@ -176,6 +177,8 @@ def test_lines_of_a_program_alone_are_no_table(folder: Path, line: str, titles: 
     found = made(folder, "".join(f"{line.format(k)}\n" for k in range(5)))
     assert found.titles == titles
     assert [row[1] for row in found.rows] == [f"{k}.5" for k in range(5)]
+    with pytest.raises(calib.MeasurementError, match=r"^a\.txt: has lists of numbers in brackets; calib import a\.txt"):
+        raw_table(Path("a.txt").read_bytes(), "a.txt")
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])

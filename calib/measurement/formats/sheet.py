@@ -148,8 +148,7 @@ def _is_whole(sheet: Sheet) -> bool:
     """Return whether a table has not torn lists apart, nor taken the first one for its header."""
     if any(any(map(statements.opens_list, row)) or statements.are_torn(row) for row in sheet.rows):
         return False
-    first = zip(sheet.titles, sheet.rows[0], strict=True)
-    return not any(statements.list_of(title) or all(map(statements.holds_list, (title, cell))) for title, cell in first)
+    return not any(map(statements.list_of, sheet.titles)) and not statements.are_alike(sheet.titles, sheet.rows[0])
 
 
 def _of_table(data: bytes, where: str) -> Sheet:

@@ -199,6 +199,11 @@ def holds_list(text: str) -> bool:
     return _lists(_tokens(text, 1)) > 0
 
 
+def are_alike(titles: Sequence[str], cells: Sequence[str]) -> bool:
+    """Return whether a list was taken for the title of a column of such."""
+    return any(holds_list(title) and holds_list(cell) for title, cell in zip(titles, cells, strict=True))
+
+
 def begins_list(text: str) -> bool:
     """Return whether a cell, or a title, is a list of numbers in brackets, or the beginning of one."""
     return opens_list(text) or list_of(text) is not None
