@@ -137,10 +137,11 @@ def five_point(
     encoder's only if P2 and P4 are the positive turns.
 
     ``angles``: the readings (+theta1, -theta2, +theta3, -theta4) in rad. They do not enter the result; they tell
-    whether the points lie where they say and come in the right order. Of two turns that are equally large nothing but
-    the signs of the angles can tell the order: the points themselves are then symmetric. ``sigma``: standard deviation
-    of a coordinate in m, for the expected errors that findings tell: of turns below 60 deg, radii below 100 mm, and
-    three points almost on a line.
+    whether the points lie where they say and come in the right order: an error where a turn differs by a degree, a
+    finding where it differs by more than the noise of the points. Of two turns that are equally large nothing but the
+    signs of the angles can tell the order: the points themselves are then symmetric. ``sigma``: standard deviation of
+    a coordinate in m, for that, and for the expected errors that findings tell: of turns below 60 deg, radii below 100
+    mm, and three points almost on a line.
 
     Raises MeasurementError when points are swapped or not where their angles say, IdentificationError when three points
     lie on a line.
@@ -158,6 +159,7 @@ def five_point(
         radius = float(np.linalg.norm(P[0] - T[:3, 3]))
         if angles is not None:
             _refuse_turns(axis, names, turns, angles[i - 1 : i + 1], _TURN_TOLERANCE + _SIGMAS * sigma / radius)
+            findings += _off_angles(axis, names, turns, angles[i - 1 : i + 1], sigma / radius)
         findings += _doubts(axis, names, P[[0, i, i + 1]], radius, turns, sigma)
         frames.append(read_only(T))
     B_R, B_L = frames
@@ -230,6 +232,27 @@ def _refuse_turns(
         f"{names[0]} and {names[1]} are turned by {seen} deg, one way and the other, about the {axis} axis, where the "
         f"angles say {said}: points or angles are wrong, or the other axis moved as well."
     )
+
+
+def _off_angles(
+    axis: str, names: tuple[str, str], turns: tuple[float, float], angles: Sequence[float], noise: float
+) -> Iterator[Finding]:
+    """Yield what points say of turns beyond their ``noise``, a coordinate's over the radius: one was touched wrongly.
+
+    A circle through three points takes up their radial errors; its centre moves by what they ask.
+    """
+    at = np.array([0.0, turns[0], -turns[1]])
+    radial, tangential = np.stack([np.cos(at), np.sin(at)], axis=1), np.stack([-np.sin(at), np.cos(at)], axis=1)
+    centre = np.linalg.inv(np.column_stack([radial, np.ones(3)]))[:2]
+    for name, turn, angle, by in zip(names, turns, angles, tangential[1:] - tangential[0], strict=True):
+        off = (turn - abs(angle)) / (noise * np.sqrt(2.0 + np.sum((by @ centre) ** 2)))
+        if abs(off) > _SIGMAS:
+            yield Finding.warning(
+                "turn-off",
+                f"{name} is turned by {turn / DEG:.4g} deg about the {axis} axis, where its angle says "
+                f"{abs(angle) / DEG:.4g}: {abs(off):.2g} standard deviations of the points. One of them was touched "
+                "wrongly, or angle or sigma is not what is said; nothing else checks five points.",
+            )
 
 
 def _doubts(

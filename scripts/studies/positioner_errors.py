@@ -56,7 +56,8 @@ it is said otherwise. *Published* are the figures of an independent computation 
 
 So turn far, punch the mark far from the rotary axis, and touch more than five points: they also leave residuals, which
 the closed form has none of. Turns below 60 deg and marks within 100 mm of an axis are told as findings, with the error
-to be expected of the axis.
+to be expected of the axis; and so are turns that differ from what the angles say by six standard deviations, as where a
+point was touched wrongly.
 
 ## What touched points determine
 

@@ -9,6 +9,7 @@ import calib
 from calib import positioner
 from calib.foundations import rigid
 from calib.identification.system import Problem
+from calib.positioner.five_point import _circle_frame, _off_angles
 from tests.support import positioners
 from tests.support.machines import load
 from tests.support.positioners import MARK, TWENTY, TWO_AXES, Array, Machine, five, place, turn
@@ -115,6 +116,30 @@ def test_order_is_checked_against_angles(order: list[int], given: list[float], s
     assert not positioner.five_point(*P, angles=angles(60, 80, 70, 90)).findings
     with pytest.raises(calib.MeasurementError, match=sentence):
         positioner.five_point(*P[order], angles=given)
+
+
+def test_a_point_that_was_touched_wrongly_within_a_degree_is_told() -> None:
+    """Nothing else would: a circle goes through any three points. Its axis is millimetres off."""
+    P, given = points((60, 60), (60, 60)), angles(60, 60, 60, 60)
+    slipped = P.copy()
+    slipped[1, :2] += [2e-3, 1e-3]
+    wrong = [one for one in positioner.five_point(*slipped, angles=given).findings if one.code == "turn-off"]
+    assert wrong and all("about the rotary axis, where its angle says 60: " in one.sentence for one in wrong)
+    rng = np.random.default_rng(0)
+    noisy = [positioner.five_point(*(P + rng.normal(scale=1e-4, size=P.shape)), angles=given) for _ in range(300)]
+    assert not any(one.code == "turn-off" for found in noisy for one in found.findings)
+
+
+def test_noise_of_turns_is_that_of_points() -> None:
+    """Six standard deviations of the turn that scatters most are where a finding begins."""
+    rng, turns, noise = np.random.default_rng(1), np.radians([90.0, 40.0]), 3e-4
+    at = np.array([0.0, turns[0], -turns[1]])
+    P = np.stack([np.cos(at), np.sin(at), np.zeros(3)], axis=1)
+    seen = [_circle_frame(P + rng.normal(scale=noise, size=P.shape), "rotary")[1] for _ in range(4000)]
+    scatter = float(np.std([one[0] for one in seen]))
+    for times, count in ((5.7, 0), (6.3, 1)):
+        told = (turns[0] + times * scatter, turns[1])
+        assert len(list(_off_angles("rotary", ("P2", "P3"), told, (turns[0], -turns[1]), noise))) == count
 
 
 def test_swapped_points_without_angles_turn_the_axis_over() -> None:
