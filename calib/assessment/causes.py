@@ -1,16 +1,17 @@
 """What is wrong where a fit is doubted: what leaves least, where it is taken for otherwise than the job says.
 
-A few rows that lie far off, and a length that is stated wrong, bend a whole fit: what is left then looks like a base or
-a target that moved, and checks that are made for those say so. So a fit that is doubted is tried once with such rows
-passed over, by a robust loss, and once with lengths that are stated free, each of its own. A cause is named where it
-brings the scatter to half or less, and all checks of what else may be wrong then pass; of several, that which leaves
+A few rows that lie far off, a length that is stated wrong, and a prior that holds the arm where it is not, bend a
+whole fit: what is left then looks like a base or a target that moved, and checks that are made for those say so. So a
+fit that is doubted is tried once with such rows passed over, by a robust loss, once with lengths that are stated free,
+each of its own, and once without the priors that are stated. A cause is named where it brings the scatter to half or
+less, of rows held out as well, and all checks of what else may be wrong then pass; of several, that which leaves
 least. Rows that lie far off, all by one motion of base, tool or a joint, are no such rows: something moved. A row that
 is held out may be one as well: it bends nothing, but what is left of all held out is then nearly its own.
 """
 
 from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,11 +24,12 @@ from calib.assessment.stretches import Stretch, stretches
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound, exceeded
 from calib.foundations.errors import CalibError
-from calib.foundations.units import MM
+from calib.foundations.units import DEG, MM
 from calib.foundations.words import noun
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near, residuals_of
 from calib.identification.losses import Loss
+from calib.identification.parameters import Parameter
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.measurement.scalars import Scalar
@@ -67,7 +69,7 @@ def causes(fit: Fit, sets: Sequence[JudgedSet]) -> tuple[Cause, ...]:
         or [len(one.data) for one in own] != [len(data) for data in fit.measurements]
     ):
         return ()
-    found = [one for one in (_passed_over(fit, sets), _other_lengths(fit, sets)) if one is not None]
+    found = [one for find in (_passed_over, _other_lengths, _without_priors) if (one := find(fit, sets)) is not None]
     return tuple(sorted(found, key=lambda one: one.left))
 
 
@@ -252,3 +254,45 @@ def _lengths_said(wrong: Sequence[tuple[Measurements, float]]) -> str:
         each = ", ".join(f"{-value / MM:+.4g} mm" for _, value in wrong[:_LISTED])
         said = f"lengths to {which} are off by {each}: is what belongs to all of them counted"
     return f"{first.where}: what is left is explained if {said}? length_offset lets this be found."
+
+
+# ---- priors that hold the arm where it is not
+
+
+def _without_priors(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
+    """Return what is left if the arm may be as far from its URDF as the data say, whatever priors are stated."""
+    held = [p for p in fit.parameters if p.of_robot and p.prior is not None and p.group is None]
+    if not held:
+        return None
+    priors = fit.model.priors
+    stated = [field.name for field in fields(priors) if isinstance(getattr(priors, field.name), float)]
+    model = replace(fit.model, priors=replace(priors, **dict.fromkeys(stated)))
+    try:
+        found = identify(model.within(fit.measurements), fit.measurements, losses=fit.losses)
+        judged = _judged(found, sets, [one.data for one in sets])
+    except CalibError:
+        return None
+    if not found.converged:
+        return None
+    found = replace(found, model=model)
+    share = 0.0
+    for use in {one.use for one in sets}:
+        pairs = [(new, old) for new, old in zip(judged, sets, strict=True) if old.use == use]
+        now, before = (sum(float(np.sum((pair[k].after / _scales(pair[0])) ** 2)) for pair in pairs) for k in (0, 1))
+        share = max(share, now / max(before, 1e-300))
+    if share > LEAST_LEFT**2:
+        return None
+    value_of = dict(zip((p.name for p in found.parameters), found.values, strict=True))
+    farthest = max(held, key=lambda p: abs(value_of.get(p.name, 0.0)) / (p.prior or 1.0))
+    return Cause(_priors_said(farthest, value_of[farthest.name]), found, judged, share)
+
+
+def _priors_said(parameter: Parameter, value: float) -> str:
+    """Return what is said of stated priors, by the parameter that they hold back most."""
+    assert parameter.prior is not None, "it is held"
+    size, unit = {"m": (MM, "mm"), "rad": (DEG, "deg")}.get(parameter.unit, (1.0, parameter.unit))
+    return (
+        "What is left is explained if the arm is farther from its URDF than error_model.prior lets it be, "
+        f"{parameter.name} by {value / size:+.3g} {unit} where {parameter.prior / size:.3g} {unit} is stated: state "
+        'how far it may really be, or write "learned".'
+    )

@@ -56,6 +56,7 @@ _OF_CAUSES = frozenset(
 )
 _OF_WHAT_IS_LEFT = _OF_CAUSES | {"improvement", "prediction", "regions"}
 _NO_DOUBT = "No check asks for a cause."
+_NO_CAUSE = "No few rows, no stated length and no stated prior explain what a check found."
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +143,7 @@ def with_cause(found: Verdict, fit: Fit, sets: Sequence[JudgedSet]) -> Verdict:
     """
     cause = next(filter(None, (_found_with(one) for one in _causes(found, fit, sets))), None)
     if cause is None:
-        said = "No few rows and no stated length explain what a check found." if found.doubts else _NO_DOUBT
+        said = _NO_CAUSE if found.doubts else _NO_DOUBT
         return replace(found, checks=(*found.checks, Check.idle("cause", LEAST_LEFT, said)))
     one, again = cause
     passed = {check.name for check in again.checks if check.passed}

@@ -94,3 +94,27 @@ def test_a_prior_that_is_made_as_wide_as_it_says_is_right() -> None:
     fit = session(1, wider=5.0)
     wide = replace(fit.model, priors=calib.Priors(5.0 * LENGTH, 5.0 * ANGLE))
     assert said_of(calib.identify(wide, fit.measurements)) == []
+
+
+def test_priors_that_keep_the_search_from_the_arm_are_the_cause_of_what_is_left() -> None:
+    """Twenty times as far off as stated, the fit ends where 24 mm are left, and nothing but the priors explains it."""
+    fit = session(2, wider=20.0, sigma=2.3e-4)
+    assert fit.noise[0].model > 10e-3
+    found = calib.assess(fit)
+    (cause,) = (check for check in found.checks if check.name == "cause")
+    assert not cause.passed and "where " in cause.sentence
+    assert cause.sentence.startswith(
+        "What is left is explained if the arm is farther from its URDF than error_model.prior"
+    )
+    free = replace(fit.model, priors=calib.Priors())
+    assert calib.identify(free, fit.measurements).noise[0].model < 1e-4
+
+
+def test_priors_that_are_right_are_no_cause_of_a_jump() -> None:
+    fit = session(0, sigma=1e-4)
+    (data,) = fit.measurements
+    assert data.position is not None
+    moved = np.where(np.arange(len(data))[:, None] > 30, [4e-3, 0.0, 0.0], 0.0)
+    found = calib.assess(calib.identify(fit.model, replace(data, position=data.position + moved)))
+    assert any("seems to have changed" in doubt for doubt in found.doubts)
+    assert not any("error_model.prior" in doubt for doubt in found.doubts)
