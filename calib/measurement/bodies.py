@@ -44,7 +44,8 @@ def points_of_one_body(table: RawTable) -> tuple[Triple, ...]:
 
 def _keep_their_distance(p: Array, q: Array) -> bool:
     """Return whether points (N, 3) of a body that turns are as far apart in all rows."""
-    way = (q - p)[np.isfinite(q - p).all(axis=1)]
+    way = 0.5 * q - 0.5 * p  # halves, so that no number is too large for their difference
+    way = way[np.isfinite(way).all(axis=1)]
     if len(way) < _FEWEST_ROWS:
         return False
     way = way / (np.abs(way).max() or 1.0)

@@ -180,7 +180,7 @@ def would_be_points(table: RawTable) -> list[int]:
 
 def _is_of_unit_length(table: RawTable, columns: Sequence[int]) -> bool:
     numbers = [table.columns[k].numbers for k in columns]
-    size = np.sqrt(sum(np.square(values) for values in numbers if values is not None))
+    size = np.sqrt(sum(np.square(np.clip(values, -2.0, 2.0)) for values in numbers if values is not None))
     return bool(np.nanmax(np.abs(size - 1.0), initial=0.0) < 1e-2)
 
 
@@ -194,6 +194,8 @@ def _turns(table: RawTable, nine: Sequence[int]) -> bool:
     """Return whether nine columns are rotations by rows."""
     R = numbers_of(table, nine).reshape(-1, 3, 3)
     R = R[np.isfinite(R).all(axis=(1, 2))]
+    if np.abs(R).max(initial=0.0) > 2.0:
+        return False
     return bool(len(R) and np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max() < 1e-2)
 
 
@@ -269,7 +271,7 @@ def _families(parts: Sequence[Sequence[str]], numeric: Iterable[int]) -> Iterato
     found: dict[tuple[tuple[str, ...], tuple[str, ...]], dict[int, int]] = {}
     for k in numeric:
         for i, part in enumerate(parts[k]):
-            if part.isdigit() and len(part) <= 3:
+            if part.isdecimal() and len(part) <= 3:  # a superscript is a digit, and no number
                 found.setdefault((tuple(parts[k][:i]), tuple(parts[k][i + 1 :])), {}).setdefault(int(part), k)
     for (before, behind), of in found.items():
         numbers = sorted(of)

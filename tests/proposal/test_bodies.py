@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import calib
 from calib.foundations.arrays import Array
-from calib.measurement.bodies import a_row_for_each_point, points_of_one_body
+from calib.measurement.bodies import _keep_their_distance, a_row_for_each_point, points_of_one_body
 from calib.measurement.formats.sheet import Sheet, joined, read_sheet
 from calib.measurement.raw import raw_table
 from tests.support.cases import run
@@ -139,3 +139,9 @@ def test_a_column_that_is_there_already_is_refused(folder: Path) -> None:
     (folder / "m.csv").write_text(text(titles, [session().readings, words, *reflectors()[:2]]))
     expected = "Error: m.csv: has a column 'tool' already; call it otherwise.\n"
     assert run("import", "m.csv", "--each-point", "-o", "rows.csv") == (1, "", expected)
+
+
+def test_numbers_as_large_as_floats_are_no_points_of_a_body() -> None:
+    rng = np.random.default_rng(0)
+    p, q = rng.choice([1.7e308, -1.7e308], size=(2, 30, 3))
+    assert not _keep_their_distance(p, q)

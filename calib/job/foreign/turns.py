@@ -111,7 +111,7 @@ def _rotations(
 ) -> Iterable[tuple[str | None, Sequence[int], str, Array]]:
     given = seen.answers.orientation
     if one.form == "quaternion":
-        size = np.linalg.norm(numbers, axis=1)
+        size = np.linalg.norm(np.clip(numbers, -2.0, 2.0), axis=1)
         if given is not None or np.abs(size - 1.0).max() > 1e-2:
             return
         # Columns that are called x, y, z, w say their order; numbered ones have w first, or last.
@@ -121,7 +121,7 @@ def _rotations(
             yield None, order, "", rigid.rotation_of_quaternion(numbers[:, order])
     elif one.form == "matrix":
         matrices = numbers.reshape(-1, 3, 3)
-        if np.abs(np.swapaxes(matrices, 1, 2) @ matrices - np.eye(3)).max() < 1e-2:
+        if np.abs(numbers).max() < 2.0 and np.abs(np.swapaxes(matrices, 1, 2) @ matrices - np.eye(3)).max() < 1e-2:
             yield "matrix", range(9), "", rotations_of(numbers, "matrix")
     elif of_dimension(columns, "angle"):
         names = [given] if given is not None else ["rotation_vector", *EULER]
