@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import linear, rigid
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, IntArray
 from calib.identification.initialisation.base_and_tools import KnownFrames, TipObservations, base_and_tools
 
 # Base and tool point: nine unknowns, of three numbers a row.
@@ -26,6 +26,25 @@ def followed(tips: Array, position: Array) -> Followed:
 
     A share near 0 is an arm that moved as was measured; of readings in a wrong unit or order it is near 1 or above.
     """
+    return _followed(tips, position)[0]
+
+
+def strays(tips: Array, position: Array, most: int, share: float) -> tuple[IntArray, Followed] | None:
+    """Return the few rows, at most so many, without which an arm leaves less than a share of the spread; else None.
+
+    One after the other the row that lies farthest off is left out. ``tips`` and ``position``: as of :func:`followed`.
+    """
+    every = kept = np.arange(len(tips))
+    for _ in range(most + 1):
+        fit, left = _followed(tips[kept], position[kept])
+        if fit.share < share:
+            return np.setdiff1d(every, kept), fit
+        kept = np.delete(kept, int(np.argmax((left * left).sum(axis=1))))
+    return None
+
+
+def _followed(tips: Array, position: Array) -> tuple[Followed, Array]:
+    """Return how well an arm explains positions, and what it leaves of each (N, 3)."""
     n = len(tips)
     nothing = np.full((n, 3, 3), np.nan)
     with linear.one_thread(of_scipy=False):
@@ -38,7 +57,7 @@ def followed(tips: Array, position: Array) -> Followed:
     left = position - T[:, :3, 3]
     miss = float(np.sqrt((left * left).sum() / max(3 * n - _UNKNOWNS, 1) * 3.0))
     spread = float(np.sqrt(((position - position.mean(axis=0)) ** 2).sum() / n))
-    return Followed(miss, miss / spread if spread > 0.0 else np.inf, found.base)
+    return Followed(miss, miss / spread if spread > 0.0 else np.inf, found.base), left
 
 
 def turned_along(tips: Array, base: Array, rotation: Array) -> float:

@@ -152,6 +152,27 @@ def test_tables_with_a_tool_and_a_set_up_of_their_own_name_both(folder: Path) ->
     assert run("check", "calibration.toml").code == 0
 
 
+@pytest.mark.parametrize("strayed", [(17,), (5, 20)])
+def test_a_few_rows_that_lie_far_off_are_named(folder: Path, strayed: tuple[int, ...]) -> None:
+    """One point of 27 of a real UR5 was of another pose: it was asked whether this was the robot, and no row named."""
+    arm = machines.arm(UR10, "tool0")
+    readings = arm.draw(np.random.default_rng(3), 30)
+    seen = machines.Machine(
+        arm, machines.pose((2.0, 0.4, 0.1), (0.0, 0.0, 1.1)), {"tool": machines.pose((0.1, 0, 0.1))}
+    )
+    columns = machines.table(arm, readings, seen.see(readings), "position")
+    rows = np.column_stack(list(columns.values()))
+    rows[list(strayed), -3:] += (0.7, -0.8, 0.4)
+    lines = ["q1,q2,q3,q4,q5,q6,X,Y,Z", *(",".join(f"{v:.6f}" for v in row) for row in rows), ""]
+    (folder / "measured.csv").write_text("\n".join(lines), encoding="utf-8")
+    said = run("init", UR10, "measured.csv", "--yes")
+    numbers = ", ".join(str(k + 1) for k in strayed)
+    assert said.code == 1
+    assert f"without row{'s' * (len(strayed) > 1)} {numbers} after the header" in said.err
+    (folder / "measured.csv").write_text("\n".join(lines[: 1 + strayed[0]] + lines[22:]), encoding="utf-8")
+    assert run("init", UR10, "measured.csv", "--yes").code == 0
+
+
 def test_a_tool_that_a_column_names_is_named_by_nothing_else(folder: Path) -> None:
     two_tools(folder, named=True)
     said = run("init", UR10, "light.csv", "heavy.csv", "--yes")

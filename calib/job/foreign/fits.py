@@ -10,7 +10,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import MM, UNITS
 from calib.foundations.words import first_of
-from calib.identification.followed import FEWEST_ROWS, Followed, followed
+from calib.identification.followed import FEWEST_ROWS, Followed, followed, strays
 from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension, run_of, values_of
 from calib.job.foreign.seen import Seen
 from calib.job.proposal import About
@@ -34,6 +34,8 @@ _FEWEST_OF_PART = FEWEST_ROWS + 4
 _MOST_PARTS = 12
 # What the arm follows as well as this, in every part, is no chance.
 _PARTS_FOLLOW = 0.1
+# Rows that spoil a fit are told from a wrong reading where they are so few: one of so many rows, and so many at most.
+_KEPT_FOR_A_STRAY, _MOST_STRAYS = 10, 5
 _LOOKED_AT = 12
 # With fewer rows nothing is tried, nor with readings in rad or points in m beyond this.
 _FEWEST_TRIED, _LARGEST = 2, 1e4
@@ -304,6 +306,9 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
         parts = _parts_question(seen, trials)
         if parts is not None:
             raise parts
+        strayed = _strays_question(seen, trials)
+        if strayed is not None:
+            raise strayed
         best = trials[0]
         raise ask(
             "columns",
@@ -396,6 +401,24 @@ def _parts_question(seen: Seen, trials: Sequence[Trial]) -> AskedError | None:
                 "separately, but not together; was the robot, the instrument or the tool moved there?",
                 (),
                 "a column setup, or tool, that says which rows belong together",
+            )
+    return None
+
+
+def _strays_question(seen: Seen, trials: Sequence[Trial]) -> AskedError | None:
+    """Return a question where all rows are followed but a few that lie far off; None where they are not."""
+    for trial in trials[:_LOOKED_AT]:
+        most = min(len(trial.rows) // _KEPT_FOR_A_STRAY, _MOST_STRAYS)
+        found = strays(trial.tips, trial.position, most, _PARTS_FOLLOW) if np.isfinite(trial.fit.share) else None
+        if found is not None:
+            rows, fit = found
+            return ask(
+                "columns",
+                f"{seen.raw.where}: the arm follows to {fit.miss / MM:.3g} mm, {fit.share:.2%} of the spread, without "
+                f"{seen.named_rows(trial.rows[rows].tolist())}, and to {trial.fit.share:.0%} with all rows; do these "
+                "readings and points belong together?",
+                (),
+                "a table without what does not belong together",
             )
     return None
 

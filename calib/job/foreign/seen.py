@@ -79,6 +79,13 @@ class Seen:
         seen, count = len(self.raw.columns[0].words), self.raw.count
         return f"rows 1 to {last + 1}" if seen == count else f"rows 1 to about {1 + round(last * count / seen)}"
 
+    def named_rows(self, rows: Sequence[int]) -> str:
+        """Return rows of those that are looked at, in words."""
+        seen, count = len(self.raw.columns[0].words), self.raw.count
+        numbers = ", ".join(str(1 + round(row * count / seen)) for row in rows)
+        about = "" if seen == count else "about "
+        return f"row{'s' * (len(rows) > 1)} {about}{numbers}{' after the header' if self.raw.named else ''}"
+
     def titles(self, columns: Iterable[int]) -> str:
         """Return the titles of columns, the middle of many left out."""
         return run_of([self.raw.columns[k].title for k in columns])
