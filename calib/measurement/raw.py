@@ -1,6 +1,7 @@
 """A table of somebody else as it is: titles, units where they are written, and the numbers of rows spread over it."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, symbol_of
 from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats.statements import are_alike, are_in, are_torn, opens_list
-from calib.measurement.layout import is_number, is_number_of_name, layout, name_and_unit
+from calib.measurement.layout import Layout, is_number, is_number_of_name, layout, name_and_unit
 
 # Enough to tell a unit from another; a table may have a million rows.
 _MOST_ROWS = 400
@@ -45,6 +46,7 @@ class RawTable:
     """Columns of N rows that are spread over the ``count`` rows of ``where``; ``remarks``: how the text was read.
 
     ``named``: the file has a header; without one columns are called ``column 1``, ``column 2``, ...
+    ``data``: the whole text, laid out as ``form``.
     """
 
     where: str
@@ -52,6 +54,18 @@ class RawTable:
     count: int
     remarks: tuple[str, ...]
     named: bool
+    data: bytes
+    form: Layout
+
+    def all_numbers(self, k: int) -> Array | None:
+        """Return the numbers (count,) of a column, of all rows; None where some cell is none."""
+        words = [
+            cells(line.text, self.form.separator, f"{self.where}:{line.number}")[k]
+            for block in lines(self.data, self.where)
+            for line in block
+            if line.number > self.form.last
+        ]
+        return _column(self.columns[k].title, "", words, self.form.separator).numbers
 
 
 def raw_table(data: bytes, where: str) -> RawTable:
@@ -97,17 +111,17 @@ def _whole(data: bytes, where: str) -> RawTable:
         _column(title, unit, words, form.separator)
         for title, unit, words in zip(form.titles, form.units, zip(*rows, strict=True), strict=True)
     ]
-    return RawTable(where, tuple(columns), count, form.remarks, form.named)
+    return RawTable(where, tuple(columns), count, form.remarks, form.named, data, form)
 
 
-def _column(title: str, unit: str, words: tuple[str, ...], separator: str) -> RawColumn:
+def _column(title: str, unit: str, words: Sequence[str], separator: str) -> RawColumn:
     name, symbol = split_title(title)
     filled = [word for word in words if word]
     numbers = None
     if filled and all(is_number(word, separator) for word in filled):
         values = [float(word.replace(",", ".")) if word else np.nan for word in words]
         numbers = read_only(np.where(np.isinf(values), np.nan, values))
-    return RawColumn(title, name, symbol or unit or None, numbers, words)
+    return RawColumn(title, name, symbol or unit or None, numbers, tuple(words))
 
 
 def split_title(title: str) -> tuple[str, str | None]:

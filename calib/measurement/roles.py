@@ -33,6 +33,8 @@ _NO_POSITION = _words(
 )
 # What columns of torques are called.
 TORQUES = _words("tau torque torques effort")
+# What columns of standard deviations are called.
+SPREADS = _words("std stdev stddev sigma sd")
 # What as many numbers of an orientation are.
 _SIZES: dict[int, Literal["angles", "quaternion", "matrix"]] = {3: "angles", 4: "quaternion", 9: "matrix"}
 _TURNS = _words("r rot rotation phi theta euler ang angle angles orientation ori rv rvec rotvec w o")

@@ -395,6 +395,41 @@ def test_torques_are_those_of_the_joints_by_their_numbers(folder: Path, titles: 
     assert run("check", "calibration.toml").code == 0
 
 
+@pytest.mark.parametrize(
+    ("titles", "size", "zeros", "read"),
+    [
+        (["std_x", "std_y", "std_z"], 0.02, 0, "mm"),
+        (["x_sigma [um]", "y_sigma [um]", "z_sigma [um]"], 20.0, 0, "um"),
+        (["std_x [m]", "std_y [m]", "std_z [m]"], 2e-5, 0, "m"),
+        (["std_x", "std_y"], 0.02, 0, None),
+        (["std_x [s]", "std_y [s]", "std_z [s]"], 0.02, 0, None),
+        (["std_a", "std_b", "std_c"], 0.02, 0, None),
+        (["std_x", "std_y", "std_z"], 0.02, 1, None),
+        (["std_x", "std_y", "std_z"], 20.0, 0, None),
+    ],
+)
+def test_standard_deviations_of_the_point_are_read(
+    folder: Path, titles: list[str], size: float, zeros: int, read: str | None
+) -> None:
+    """Where they are some: a zero, in a row that no look at the table sees, says that they are not."""
+    s = session(n=500)
+    rng = np.random.default_rng(0)
+    sigmas = size * rng.uniform(0.5, 1.5, (500, len(titles)))
+    sigmas[1, 0] *= 1 - zeros
+    joints = [f"A{k} [deg]" for k in range(1, 7)]
+    measured = [np.degrees(s.readings), 1e3 * s.position, sigmas]
+    (folder / "measured.csv").write_text(
+        text([*joints, "x [mm]", "y [mm]", "z [mm]", *titles], measured), encoding="utf-8"
+    )
+    said = run("init", UR10, "measured.csv", "--yes")
+    assert said.code == 0
+    assert ("are the standard deviations of the point" in " ".join(said.out.split())) == (read is not None)
+    columns = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))["measurements"][0]["columns"]
+    found = {ours: theirs for ours, theirs in columns.items() if ours.startswith("sigma")}
+    assert found == (dict(zip([f"sigma_{axis} [{read}]" for axis in "xyz"], titles, strict=True)) if read else {})
+    assert run("check", "calibration.toml").code == 0
+
+
 def test_no_folder_for_the_job_is_said_at_once(folder: Path) -> None:
     put(folder, "no units")
     said = run("init", UR10, "measured.csv", "-o", "nowhere/calibration.toml")

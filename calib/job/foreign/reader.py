@@ -7,18 +7,19 @@ from dataclasses import replace
 import numpy as np
 
 from calib.foundations.errors import MeasurementError
+from calib.foundations.ranges import RANGES
 from calib.foundations.units import UNITS
 from calib.foundations.words import listed
 from calib.identification.followed import FEWEST_ROWS, pivots
 from calib.job.foreign import fits
-from calib.job.foreign.answers import Answers, Found, Pick, Trial, ask, run_of, values_of
+from calib.job.foreign.answers import Answers, Found, Pick, Trial, ask, of_dimension, run_of, values_of
 from calib.job.foreign.picks import no_joints, no_point, picks_of
 from calib.job.foreign.seen import CHOSEN, Seen, is_ours
 from calib.job.foreign.turns import orientation_of
 from calib.measurement.kinds import Kind
 from calib.measurement.orientations import ANGLES, MATRIX, ORIENTATIONS
 from calib.measurement.raw import RawColumn, RawTable, split_title
-from calib.measurement.roles import TORQUES, tokens
+from calib.measurement.roles import SPREADS, TORQUES, tokens
 from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TORQUE, Columns
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -61,6 +62,7 @@ def _posed(seen: Seen, best: Trial) -> Found:
     length = best.units[2]
     for axis, k in zip("xyz", best.point.columns, strict=True):
         names[f"{axis} [{seen.raw.columns[k].symbol or length}]"] = seen.raw.columns[k].title
+    names |= _sigmas(seen, best)
     chosen = None
     if seen.answers.observes != "position":
         chosen = orientation_of(seen, best)
@@ -253,6 +255,37 @@ def _torques(seen: Seen, pick: Pick, given: AbstractSet[str]) -> dict[str, str]:
     unit = "" if all(column.symbol for column in torques) else ", taken to be in Nm"
     seen.reasons.append(f"{run} are the torques of {of}, by their numbers{unit}")
     return {f"{name} [Nm]": column.title for name, column in zip(ours, torques, strict=True)}
+
+
+def _sigmas(seen: Seen, best: Trial) -> dict[str, str]:
+    """Return names for the columns of the point's standard deviations: called as its own, and std or the like beside.
+
+    Not where a person named others, nor where one is none: zero, or larger than what the arm misses.
+    """
+    own = [seen.raw.columns[k] for k in best.point.columns]
+    called = {
+        _less(column, SPREADS): k
+        for k, column in enumerate(seen.raw.columns)
+        if SPREADS & set(tokens(column.name)) and of_dimension([column], "length")
+    }
+    columns = [called[tokens(column.name)] for column in own if tokens(column.name) in called]
+    if len(columns) < len(own) or any(name.startswith("sigma") for name in seen.named):
+        return {}
+    names = {}
+    for axis, k, point in zip("xyz", columns, own, strict=True):
+        column, values = seen.raw.columns[k], seen.raw.all_numbers(k)
+        symbol = column.symbol or point.symbol or best.units[2]
+        if values is None or not all(map(RANGES["sigma"].holds, (values * UNITS[symbol].factor).tolist())):
+            return {}
+        if np.median(values) * UNITS[symbol].factor > best.fit.miss:
+            return {}
+        names[f"sigma_{axis} [{symbol}]"] = column.title
+    seen.reasons.append(f"{run_of(list(names.values()))} are the standard deviations of the point")
+    return names
+
+
+def _less(column: RawColumn, words: AbstractSet[str]) -> tuple[str, ...]:
+    return tuple(part for part in tokens(column.name) if part not in words)
 
 
 def _is_torque(column: RawColumn) -> bool:
