@@ -224,6 +224,12 @@ def test_bad_streams_are_refused_with_one_sentence(made: Streams) -> None:
         "arrays: half of its rows are 1.665e-05 s apart or less; in a stream it is 0.0001 to 1 s: "
         "is the unit of 'time' right?"
     )
+    sent = dict(seen) | {"time [s]": seen["time [s]"][::10].repeat(10)[: len(seen["time [s]"])]}
+    sent["time [s]"] = sent["time [s]"] + 3e-5 * (np.arange(len(sent["time [s]"])) % 10)
+    assert refused(made, sent, joints) == (
+        "arrays: half of its rows are 3e-05 s apart or less; in a stream it is 0.0001 to 1 s: "
+        "they come in bursts: are these the times at which they arrived, and not those of measurement?"
+    )
     rest = {name: x if name == "time [s]" else np.full_like(x, x[0]) for name, x in joints.items()}
     assert (
         refused(made, seen, rest)

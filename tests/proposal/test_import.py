@@ -190,6 +190,11 @@ def test_points_in_order_and_rows_that_do_not_fit(folder: Path) -> None:
     assert (
         said.err == "Error: sa.txt has 36 rows and in_order.txt 40, and no column tells which rows belong together.\n"
     )
+    for file, count in (("stream.csv", 30), ("readings.csv", 20)):  # as of a recording
+        rows = [f"{0.1 * k:.2f},{0.5 * k + 0.25},2.5,3.5" for k in range(count)]
+        (folder / file).write_text("\n".join([f"time [s],{file[0]}1,{file[0]}2,{file[0]}3", *rows, ""]))
+    said = run("import", "readings.csv", "stream.csv", "-o", "b.csv")
+    assert said.err.endswith('and the joints are the readings, with clock = "free".\n')
     said = run("import", "joints.csv", "sa.txt", "-o", "b.csv", "--by", "Group")
     assert said.err == "Error: joints.csv, sa.txt: 'Group' does not name each row of both tables exactly once.\n"
     assert not (folder / "b.csv").exists()

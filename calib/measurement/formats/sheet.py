@@ -195,7 +195,13 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
             raise MeasurementError(
                 f"{first.where}, {second.where}: {shown(by)} does not name each row of both tables exactly once."
             )
-        return _in_order(first, second, "no column tells which rows belong together")
+        refused = "no column tells which rows belong together"
+        if _timed(first) and _timed(second):
+            refused += (
+                "; as both have times, a job joins them: of a table of [[measurements]], the points are the file, and "
+                'the joints are the readings, with clock = "free"'
+            )
+        return _in_order(first, second, refused)
     a, b = ways[0]
     rest = [k for k in range(len(second.titles)) if k != b]
     rows = tuple((*first.rows[i], *(second.rows[j][k] for k in rest)) for i, j in pairs)
@@ -212,6 +218,10 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
     titles = _apart(first.titles, [second.titles[k] for k in rest])
     remarks = (*first.remarks, *second.remarks, *said)
     return Sheet(titles, rows, first.where, remarks, size=first.size + second.size)
+
+
+def _timed(sheet: Sheet) -> bool:
+    return any(name == "time" for name in sheet.names)
 
 
 def _in_order(first: Sheet, second: Sheet, refused: str) -> Sheet:

@@ -24,6 +24,8 @@ SLOWEST, FASTEST = 1.0, 1e-4
 _ROUNDING = 1e-3
 # Encoders at rest jitter by less, in rad or m.
 _AT_REST = 1e-4
+# Rows of which half follow in so small a part of their mean distance were sent many at once.
+_BURST = 20.0
 # Gaps from so many steps of a stream on are not bridged: one lost sample is. In s, at the least and at the most.
 _STEPS, _LEAST_GAP, _MOST_GAP = 2.5, 0.1, 0.25
 # A cubic needs as many samples.
@@ -155,10 +157,13 @@ def refuse_no_stream(times: Array, where: str) -> None:
     """Raise MeasurementError when the rows are too few or too far apart for a stream, as with a wrong unit of time."""
     if len(times) < _FEWEST:
         raise MeasurementError(f"{where}: has {len(times)} samples, and a stream needs {_FEWEST}.")
-    step = float(np.median(np.diff(times)))
+    steps = np.diff(times)
+    step = float(np.median(steps))
     if not FASTEST * (1.0 - _ROUNDING) <= step <= SLOWEST * (1.0 + _ROUNDING):
         than = "more" if step > SLOWEST else "less"
-        raise MeasurementError(
-            f"{where}: half of its rows are {step:.4g} s apart or {than}; in a stream it is {FASTEST:g} to {SLOWEST:g} "
-            "s: is the unit of 'time' right?"
-        )
+        said = f"half of its rows are {step:.4g} s apart or {than}; in a stream it is {FASTEST:g} to {SLOWEST:g} s"
+        # Of an instrument that sends many samples at once, the times of arrival say little of when each was taken.
+        asked = "is the unit of 'time' right?"
+        if step < FASTEST and float(steps.mean()) > max(_BURST * step, FASTEST):
+            asked = "they come in bursts: are these the times at which they arrived, and not those of measurement?"
+        raise MeasurementError(f"{where}: {said}: {asked}")
