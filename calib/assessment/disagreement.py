@@ -35,6 +35,8 @@ from calib.measurement.measurements import numbered
 _LEAST_ROWS = 2
 # Of a target with more rows than these not every place is tried.
 _MOST_SPLITS = 10_000
+# What is left of a split has to be so many times what it is below zero in others, which it cannot be.
+_UNSURE = 2.0
 _MOST_WORDS = 1000
 # Of more blocks that groups have in common it is not asked where each group has them.
 _MOST_SHARED = 100
@@ -158,7 +160,9 @@ class _Run:
             if self._block:
                 left = left - self._taken_by_blocks(residue.covariance.root, later=later)[before - 1]
             values, V = np.linalg.eigh(left)
-            can_tell = values[:, 0] > ALONE * np.trace(own, axis1=1, axis2=2)
+            # Nothing is left below zero: by as much, the covariance of what the data hardly determine is off here.
+            share = values[:, 0] / np.trace(own, axis1=1, axis2=2)
+            can_tell = share > max(ALONE, -_UNSURE * float(share.min()))
             u = (np.swapaxes(V, -1, -2) @ g[:, :, None])[:, :, 0]
             gains = np.sum(u**2 / np.where(can_tell[:, None], values, np.inf), axis=1)
             for k, gain in enumerate(gains.tolist()):
