@@ -182,6 +182,24 @@ def test_arrays(folder: Path) -> None:
     assert not (folder / "c.csv").exists()
 
 
+def test_records_below_other_names_are_no_row(folder: Path) -> None:
+    """As of a robot that was measured at several heights: all its poses became one row, or too many columns."""
+    poses = [{"id": k, "joint_states": [0.1 * k, 0.2], "prism": [1.0, 2.0 + k, 3.0]} for k in range(3)]
+    for found, inside in (
+        (
+            {"names": ["a", "b"], "heights": {"1.9": {"spaces": {"0": {"points": poses}}}}},
+            "heights.1.9.spaces.0.points",
+        ),
+        ({"heights": {"1.9": {"points": poses}, "2.5": {"points": poses}}}, "heights.1.9.points"),
+    ):
+        (folder / "m.json").write_text(json.dumps(found))
+        said = run("import", "m.json", "-o", "m.csv")
+        assert said.code == 1
+        assert said.err.startswith(
+            f"Error: m.json: {inside!r} is a list of records that lies below other names; allowed"
+        )
+
+
 def test_points_in_order_and_rows_that_do_not_fit(folder: Path) -> None:
     logs(folder)
     assert "40 rows joined in their order" in run("import", "joints.csv", "in_order.txt", "-o", "a.csv").out

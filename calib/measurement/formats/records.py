@@ -83,8 +83,30 @@ def _records(found: Any, where: str) -> tuple[list[Any], tuple[str, ...]]:
         said = (f"{shown(inside[0])} is read, and not {listed(others)}",) if others else ()
         return list(found[inside[0]]), said
     if found and all(isinstance(value, Mapping) for value in found.values()):
+        if len(found) == 1:
+            _refuse_records_inside(found, where)
         return _of_mappings(found, where), ()
-    return (_of_columns(found, where) or [found]), ()
+    if (columns := _of_columns(found, where)) is not None:
+        return columns, ()
+    _refuse_records_inside(found, where)
+    return [found], ()
+
+
+def _refuse_records_inside(found: Mapping[str, Any], where: str) -> None:
+    """Raise MeasurementError where one record, which would be one row, holds lists of records below its names."""
+    inside = next(_lists_of_records(found, "", 0), None)
+    if inside is not None:
+        raise MeasurementError(
+            f"{where}: {shown(inside)} is a list of records that lies below other names; {_ALLOWED}."
+        )
+
+
+def _lists_of_records(node: Any, name: str, depth: int) -> Iterator[str]:
+    if isinstance(node, Mapping) and depth <= _DEEPEST:
+        for key, value in node.items():
+            yield from _lists_of_records(value, f"{name}.{key}" if name else str(key), depth + 1)
+    elif isinstance(node, list) and len(node) > 1 and all(isinstance(one, Mapping) for one in node):
+        yield name
 
 
 def _of_split(found: Mapping[str, Any], where: str) -> list[Any] | None:
