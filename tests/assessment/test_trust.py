@@ -969,6 +969,17 @@ def test_of_distances_between_two_poses_a_share_of_lengths_is_judged_by_the_tool
     assert check.passed == (factor == 1.0)
 
 
+@pytest.mark.parametrize("factor", [1.0, 0.97])
+def test_of_a_ball_a_share_of_lengths_is_judged_by_the_tool(factor: float) -> None:
+    """The ball of the probe that was not counted: 3 % of a radius is half a millimetre, and of the arm centimetres."""
+    made = lab(noise=1e-5)
+    data = made.sphere(100)
+    model = calib.error_model(made.robot, offsets="all", placements="all", base="fixed")
+    fit = calib.identify(model, replace(data, value=factor * data.value))
+    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    assert check.passed == (factor == 1.0)
+
+
 def test_lengths_that_nothing_tells_are_said_in_words(
     cell: Cell, fit: calib.Fit, monkeypatch: pytest.MonkeyPatch
 ) -> None:

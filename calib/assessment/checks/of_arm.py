@@ -1,6 +1,7 @@
 """Checks of the arm and its surroundings: whether what was found, or given, is plausible."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,11 +14,12 @@ from calib.foundations.linear import Gathered, svd
 from calib.foundations.units import MM
 from calib.identification.fit import Fit
 from calib.identification.identifiability import MOVED, NUMERICAL_TOLERANCE
-from calib.identification.machine import values_at
+from calib.identification.machine import machine, values_at
 from calib.identification.mirrored import FAR_TOOL
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem, related
 from calib.measurement.checks import Finding
+from calib.measurement.measurements import Measurements
 from calib.measurement.optics import SCALE as OF_BOARD
 
 # What a joint that did not move leaves, in rad or m.
@@ -34,6 +36,9 @@ SCALED = 2e-3
 LEAST_SCALED, MOST_SCALED, MOST_LINK = 1e-3, 3e-3, 0.1
 # Scales of a parameter that may take up a common share, beside what rows say.
 PLAUSIBLE = 10.0
+# Kinds of which a row tells a length that may be far shorter than the arm; a step along a direction.
+SHORT = ("sphere", "pair_distance")
+STEP = 1e-4
 # In m: a tool point from its link, the base from the instrument.
 FAR_BASE = 100.0
 # Warnings about the input that count.
@@ -140,8 +145,9 @@ def _common_scale(
 
     Last, how much of what lengths do to the tool this share explains, of 1. Other parameters take up what they can:
     where these are most of it, such as where joints slide, little is left that tells a share. A length known between
-    targets tells it as rows do; it moves what was touched by its own share. Else a board whose scale is known nearly
-    tells it: :func:`_by_scales`. Nan where nothing shows it.
+    targets tells it as rows do; it moves what was touched by its own share. Balls and gauges tell it by a length that
+    is short beside the arm's: of these the tool itself is asked. Else a board whose scale is known nearly tells it:
+    :func:`_by_scales`. Nan where nothing shows it.
     """
     if not moved.any() or not parts:
         return (NOTHING,) * 4
@@ -176,11 +182,41 @@ def _common_scale(
     by_rows = float(np.sum(left[: len(x), 1] ** 2) - apart[:, 1] @ apart[:, 1])
     moves = float(np.sqrt(max(by_rows, 0.0))) * per_row
     moves = max(moves, float(np.abs(apart[:, 1] * sigmas).max(initial=0.0)))
+    direction = np.zeros(len(fit.parameters))
+    direction[own[moved]], direction[own[~moved]] = values[moved, 1], -taken[:, 1] * scales(fit.parameters)[own[~moved]]
+    moves = max(moves, _of_tool(fit, [part.data for part in parts if part.data.kind in SHORT], direction))
     both, whole = float(left[:, 0] @ left[:, 1]), float(left[:, 0] @ left[:, 0])
     alike = both**2 / (square * whole) if whole > 0.0 else 0.0
     grown = both / square
     of_nominal = 1.0 - grown if grown < 1.0 else NOTHING
     return grown / of_nominal, 1.0 / float(np.sqrt(square)) / of_nominal**2, moves, alike
+
+
+def _of_tool(fit: Fit, sets: Sequence[Measurements], direction: Array) -> float:
+    """Return by how many m (rms) tools move where the rows of sets were, per unit of a direction (p,) in SI units.
+
+    Less what a motion of the whole machine does, which moves its base alone. All touches of one ball are at one place,
+    so readings are mixed: the arm is meant, and not what it touched. A loop may not close at any readings.
+    """
+    frames, deviations = fit.machine.frames, fit.machine.deviations
+    x = values_at(fit.model.robot, fit.parameters, frames, deviations)
+    found = 0.0
+    for data in sets:
+        n = len(data)
+        if not fit.model.robot.loops:
+            mixed = [np.roll(column, k * n // len(data.readings.T)) for k, column in enumerate(data.readings.T)]
+            data = replace(data, readings=np.column_stack(mixed))  # noqa: PLW2901 - the same rows elsewhere
+        at = []
+        for step in (-STEP, STEP):
+            moved = machine(fit.model.robot, fit.parameters, frames, x + step * direction, deviations)
+            tools = replace(fit, machine=moved).tools_of(data)
+            at.append((data.tips(fit.model.robot, moved.deviations) @ tools)[:, :3, 3])
+        by, p = (at[1] - at[0]) / (2.0 * STEP), at[0] - at[0].mean(axis=0)
+        turned = np.cross(np.eye(3)[:, None], p).transpose(1, 2, 0).reshape(-1, 3)
+        rigid = np.hstack([turned, np.tile(np.eye(3), (n, 1))])
+        rest = by.ravel() - rigid @ np.linalg.lstsq(rigid, by.ravel(), rcond=None)[0]
+        found = max(found, float(np.sqrt(np.sum(rest**2) / n)))
+    return found
 
 
 def is_stated_scale(parameter: Parameter) -> bool:
