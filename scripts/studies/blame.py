@@ -81,7 +81,7 @@ def job(seed: int, cause: str, *, rendered: bool = False) -> str:
         placements="all",
         base="fixed",
         tool="pose",
-        priors=Priors(1e-3, 1e-3),
+        priors=Priors("learned", "learned"),
     )
     fit = calib.identify(model, kept)
     found = blame(fit, _judged(fit, kept, held_out))

@@ -4,8 +4,8 @@
         [--markdown docs/cameras.md]
 
 Every job is one line of the store; what is there already is not simulated again. A job is as ``calib import images``
-writes it: a UR5, everything free with priors of 1 mm and 1 mrad, lens and scale and shape of the board unknown. Its
-truth is drawn anew: the arm by these priors, the print's scale to 0.5 %, its shape, the lens, where camera and board
+writes it: a UR5, everything free with learned priors, lens and scale and shape of the board unknown. Its
+truth is drawn anew: the arm by 1 mm and 1 mrad, the print's scale to 0.5 %, its shape, the lens, where camera and board
 are, 16 to 30 poses, and corners that are found to 0.05 to 0.5 px, which is stated. With ``--rendered``, photographs of
 640 x 360 pixels are rendered, with blur of 0.5 to 1 px and noise of 1 to 6 grey values, and corners are found in them,
 with sigmas of their own. The simulation shares no mathematics with the toolkit.
@@ -70,7 +70,7 @@ def job(seed: int, *, rendered: bool = False) -> dict[str, list[bool]]:
     data = calib.read_measurements(columns, robot, "pixels", instrument=camera)
     data = calib.measuring.seen_by(data, camera, Board(marks=marks, shape="quadratic"))
     model = calib.error_model(
-        robot, offsets="all", placements="all", base="fixed", tool="pose", priors=Priors(1e-3, 1e-3)
+        robot, offsets="all", placements="all", base="fixed", tool="pose", priors=Priors("learned", "learned")
     )
     fit = calib.identify(model, data)
     names, true = (

@@ -238,7 +238,7 @@ def tabled(there: Scene, folder: Path, seed: int) -> tuple[Path, Path]:
     (folder / "marks.toml").write_text(
         f'schema = 1\n[robot]\nurdf = "{UR3}"\ntip = "{simulation.TIP}"\n'
         '[error_model]\noffsets = "all"\nplacements = "all"\nbase = "fixed"\ntool = "pose"\n'
-        'prior = { length = "1 mm", angle = "1 mrad" }\n'
+        'prior = { length = "learned", angle = "learned" }\n'
         f'[instruments.camera]\nkind = "camera"\ncamera_on = "tip"\nlens = "free"\nsize = [{w}, {h}]\n'
         '[[measurements]]\nfile = "marks.csv"\nobserves = "pixels"\ninstrument = "camera"\nboard = "board.toml"\n'
         "hold_out = 0.25\n"

@@ -12,6 +12,7 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation import cameras
 from calib.identification.initialisation.carried import Carried
 from calib.identification.machine import Frames
+from calib.identification.relations import Relation
 from calib.measurement.measurements import Measurements, numbered
 from calib.robot.conditions import ordinary
 from calib.robot.robot import TipModel
@@ -22,6 +23,8 @@ NEGLIGIBLE = 1e-8
 _OFF = 0.01
 # Points that are off a plane by less than that share of how they spread in it tell no side of it.
 _FLAT = 0.02
+# The cosine of an angle between planes, stated and found, from which its supplement is another one.
+_SLANTED = 0.2
 # Rows whose arm is looked at together.
 _BLOCK = 5000
 
@@ -59,6 +62,7 @@ def with_targets(model: ErrorModel, rows: Sequence[Carried], frames: Frames) -> 
             else:
                 poses[t, :3, 3] = np.concatenate(sockets).mean(axis=0) if sockets else centre(own)
         cameras.refuse_behind(sights, frames.tools, poses[t])
+    _turn_as_related(poses, [names[t] for t in planes], names, model.relations)
     for k in range(len(scalars)):
         missing = [
             sign * (data.value[:, 0] - np.linalg.norm(x - poses[data.target, :3, 3], axis=1))
@@ -69,6 +73,35 @@ def with_targets(model: ErrorModel, rows: Sequence[Carried], frames: Frames) -> 
         if missing:
             scalars[k] = np.concatenate(missing).mean()
     return Frames(frames.bases, frames.tools, poses, scalars)
+
+
+def _turn_as_related(poses: Array, free: Sequence[str], names: Sequence[str], relations: Sequence[Relation]) -> None:
+    """Turn planes of ``poses`` (M, 4, 4) over that stated angles say to be touched from the other side.
+
+    The parts of an arm beside a plane may all be on its other side. So a stated angle that is the supplement of what
+    was found says that one of two is turned over: of planes that hang together the fewer ones, or those not known.
+    """
+    number = {name: t for t, name in enumerate(names)}
+    clear = {}
+    for relation in relations:
+        pair = [number[name] for name in relation.targets if name in number]
+        if relation.kind == "angle" and len(pair) == 2 and set(relation.targets) & set(free):
+            stated, seen = np.cos(relation.value), float(poses[pair[0], :3, 2] @ poses[pair[1], :3, 2])
+            if min(abs(stated), abs(seen)) > _SLANTED:
+                clear[pair[0], pair[1]] = clear[pair[1], pair[0]] = bool(stated * seen < 0.0)
+    turnable = {number[name] for name in free}
+    left = {t for pair in clear for t in pair}
+    while left:
+        turned = {min(left): False}
+        while more := {b: turned[a] != other for (a, b), other in clear.items() if a in turned and b not in turned}:
+            turned |= more
+        left -= turned.keys()
+        if any((turned[a] != turned[b]) != other for (a, b), other in clear.items() if a in turned):
+            continue  # stated angles contradict each other, which the fit will show
+        over = {t for t, is_over in turned.items() if is_over}
+        for t in min((over, turned.keys() - over), key=lambda one: (len(one - turnable), len(one))):
+            if t in turnable:
+                poses[t, :3, 1:3] *= -1.0
 
 
 def _known_pose(target: targets.Target, own: Sequence[tuple[Measurements, Array, Array]]) -> Array:
