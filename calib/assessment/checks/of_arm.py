@@ -201,20 +201,19 @@ def _of_tool(fit: Fit, sets: Sequence[Measurements], direction: Array) -> float:
     frames, deviations = fit.machine.frames, fit.machine.deviations
     x = values_at(fit.model.robot, fit.parameters, frames, deviations)
     found = 0.0
-    for data in sets:
-        n = len(data)
+    for rows in sets:
+        n, readings = rows.readings.shape[0], rows.readings
         if not fit.model.robot.loops:
-            mixed = [np.roll(column, k * n // len(data.readings.T)) for k, column in enumerate(data.readings.T)]
-            data = replace(data, readings=np.column_stack(mixed))  # noqa: PLW2901 - the same rows elsewhere
-        at = []
+            readings = np.column_stack([np.roll(q, k * n // len(readings.T)) for k, q in enumerate(readings.T)])
+        data, at = replace(rows, readings=readings), []
         for step in (-STEP, STEP):
             moved = machine(fit.model.robot, fit.parameters, frames, x + step * direction, deviations)
             tools = replace(fit, machine=moved).tools_of(data)
             at.append((data.tips(fit.model.robot, moved.deviations) @ tools)[:, :3, 3])
         by, p = (at[1] - at[0]) / (2.0 * STEP), at[0] - at[0].mean(axis=0)
         turned = np.cross(np.eye(3)[:, None], p).transpose(1, 2, 0).reshape(-1, 3)
-        rigid = np.hstack([turned, np.tile(np.eye(3), (n, 1))])
-        rest = by.ravel() - rigid @ np.linalg.lstsq(rigid, by.ravel(), rcond=None)[0]
+        whole = np.hstack([turned, np.tile(np.eye(3), (n, 1))])
+        rest = by.ravel() - whole @ np.linalg.lstsq(whole, by.ravel(), rcond=None)[0]
         found = max(found, float(np.sqrt(np.sum(rest**2) / n)))
     return found
 
