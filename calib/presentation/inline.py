@@ -12,6 +12,9 @@ class Page(str):
 
     __slots__ = ()
 
+    def __repr__(self) -> str:
+        return f"<Page of {len(self)} characters>"
+
     def _repr_html_(self) -> str:
         """Return the page in a frame that keeps its style and its script to itself."""
         style = "width: 100%; height: 640px; border: 0"

@@ -11,6 +11,7 @@ import pytest
 
 import calib
 from calib.identification.fit import Fit
+from calib.presentation.inline import Page
 from tests.support.cases import CASE, TABLE
 
 
@@ -139,3 +140,9 @@ def test_figures_can_be_saved(what: Any, changes: dict[str, Any]) -> None:
     file = io.BytesIO()
     calib.plot(fit_of(**changes), what).savefig(file, format="svg")
     assert file.getvalue().startswith(b"<?xml")
+
+
+def test_a_page_at_a_prompt_is_a_line_and_not_its_text() -> None:
+    page = Page("<p>" + "x" * 1_000_000)
+    assert repr(page) == "<Page of 1000003 characters>"
+    assert str(page).startswith("<p>x") and "srcdoc" in page._repr_html_()
