@@ -78,7 +78,7 @@ def here(some: simulation.Session, table: dict[str, object], count: int) -> tupl
     data = calib.measuring.seen_by(data, camera, Board(marks=marks, shape="quadratic"))
     rows = np.arange(len(data))
     model = calib.error_model(
-        robot, offsets="all", placements="all", base="fixed", tool="pose", priors=Priors("learned", "learned")
+        robot, offsets="all", placements="all", base="fixed", tool="pose", priors=Priors(1e-3, 1e-3)
     )
     fit = calib.identify(model, data.subset(rows[: count * IMAGES]))
     (misses,) = residuals_of(fit, [data.subset(rows[count * IMAGES :])], fit.machine)
