@@ -87,6 +87,7 @@ class Case:
 # What the verdict tells whoever has an arm that is as its URDF.
 KEPT = (('offsets = "all"\n', ""), ('placements = "all"\n', ""))
 LARGE = replace(Case().sheet, scale=0.01)
+STATED = (('"learned", angle = "learned"', '"1 mm", angle = "1 mrad"'),)
 CASES: Mapping[str, Case] = {
     "ordinary": Case(),
     "errors of 1 mm and 1 mrad": Case(arm=1e-3),
@@ -103,6 +104,13 @@ CASES: Mapping[str, Case] = {
     "zeros off by 5 mrad": Case(zeros=5e-3),
     "blurred, noisy, partly covered": Case(look=replace(Case().look, blur=1.6, noise=6.0), covered=True),
     "8 photographs to identify": Case(images=16),
+    "6 photographs to identify": Case(images=9),
+    "errors of 3 mm and 3 mrad": Case(arm=3e-3),
+    "errors of 5 mm and 5 mrad": Case(arm=5e-3),
+    "priors of 1 mm and 1 mrad stated": Case(job=STATED),
+    "6 photographs, priors of 1 mm and 1 mrad stated": Case(images=9, job=STATED),
+    "errors of 3 mm and 3 mrad, priors of 1 mm and 1 mrad stated": Case(arm=3e-3, job=STATED),
+    "errors of 5 mm and 5 mrad, priors of 1 mm and 1 mrad stated": Case(arm=5e-3, job=STATED),
     "no priors stated": Case(job=(("prior = {", "# prior = {"),)),
     "URDF is right, no priors stated": Case(arm=0.0, job=(("prior = {", "# prior = {"),)),
     "poses of the flange instead of joints": Case(flange=True),
