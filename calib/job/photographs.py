@@ -46,6 +46,8 @@ from calib.robot.urdf import read_urdf
 
 IMAGE = "image"
 LEAST_PHOTOGRAPHS = 3
+# Of these a quarter is held out; eight photographs and more teach how well an arm is made (docs/cameras.md).
+_TEACH = 11
 # What is written of a pixel and of its sigma: a ten-thousandth.
 _DIGITS = 4
 # How much farther than the poses a flange may go, and at least, in m.
@@ -129,8 +131,10 @@ class Imported:
         alone = bool(self.urdf)
         free = ["# The robot is taken as given: hand-eye and lens alone."] if alone else []
         free += [f'{key} = "{"none" if alone else "all"}"' for key in ("offsets", "placements")]
-        # How well the arm is made, its photographs tell: widths that are stated hold worse arms back.
-        prior = [] if alone else ['prior = { length = "learned", angle = "learned" }']
+        # Widths that are stated hold worse arms back; but few photographs teach none.
+        learned = len(self.used) >= _TEACH
+        widths = '{ length = "learned", angle = "learned" }' if learned else '{ length = "1 mm", angle = "1 mrad" }'
+        prior = [] if alone else [f"prior = {widths}  # how well arms are made"]
         lines = [
             "schema = 1",
             "",

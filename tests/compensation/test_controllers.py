@@ -136,10 +136,18 @@ def test_axes_elsewhere_are_told() -> None:
     turned = text[:elbow] + text[elbow:].replace('axis xyz="0 0 1"', 'axis xyz="0 0 -1"', 1)
     with pytest.raises(OutputError, match="has the axis of 'elbow_joint' along"):
         export_ur(model(machines.load(turned, "tool0")))
-    moved = text.replace(f'xyz="0 0 0" rpy="{math.pi / 2} 0', f'xyz="0.01 0 0" rpy="{math.pi / 2} 0')
-    assert moved != text
+    beside, along = (
+        text.replace(f'xyz="0 0 0" rpy="{math.pi / 2} 0', f'xyz="{xyz}" rpy="{math.pi / 2} 0')
+        for xyz in ("0 0.01 0", "0.01 0 0")
+    )
+    assert text not in (beside, along)
     with pytest.raises(OutputError, match="has 'tool0' elsewhere than on the axis of its last joint"):
-        export_ur(model(machines.load(moved, "tool0")))
+        export_ur(model(machines.load(beside, "tool0")))
+    # On the axis, the last frame of the driver is where the tool is.
+    machine = model(machines.load(along, "tool0"))
+    readings = np.random.default_rng(1).uniform(-3.0, 3.0, (20, 6))
+    seen = machines.arm(driver_urdf(export_ur(machine).text), "tool0").tips(readings)
+    assert np.abs(seen - machine.tips(readings)).max() < 1e-9
 
 
 @pytest.mark.parametrize("name", ["scara", "gantry", "skew", "mimic"])

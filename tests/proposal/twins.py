@@ -237,7 +237,7 @@ TWINS = [
             [*J, "x", "std_x", "y", "std_y", "z", "std_z"],
             [degrees(), *(c for k in range(3) for c in (mm()[:, k], np.full(40, 0.01 + k)))],
         ),
-        Expected(J, "deg", ["x", "y", "z"], ignore=["std_x", "std_y", "std_z"]),
+        Expected(J, "deg", ["x", "y", "z"], words={f"sigma_{axis} [mm]": f"std_{axis}" for axis in "xyz"}, ignore=[]),
     ),
     Twin(
         "commanded and actual joints",
