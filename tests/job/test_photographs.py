@@ -5,13 +5,16 @@ import json
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 cv2 = pytest.importorskip("cv2")
 
+from calib.job.photographs import Imported, Photograph  # noqa: E402
 from calib.job.read import read_board  # noqa: E402
+from calib.robot.load import load_robot  # noqa: E402
 from scripts.simulate import photographs as simulation  # noqa: E402
 from tests.support.cases import run  # noqa: E402
 from tests.support.photographs import small_session  # noqa: E402
@@ -442,3 +445,15 @@ def test_a_board_below_a_file_is_refused_as_other_results_are(tmp_path: Path) ->
         f"Error: {file / 'board'}: cannot be made, as {file} is a file.",
     )
     assert file.read_text() == "mine"
+
+
+@pytest.mark.parametrize(("count", "prior"), [(10, '"1 mm", angle = "1 mrad"'), (11, '"learned", angle = "learned"')])
+def test_photographs_teach_how_well_an_arm_is_made_where_they_are_enough(count: int, prior: str) -> None:
+    """One that is left out teaches nothing."""
+    size: tuple[int, int] = (640, 360)
+    nothing: Any = None
+    photographs = [Photograph(f"{k}.png", size, nothing, "", b"") for k in range(count)]
+    photographs.append(Photograph("dark.png", size, nothing, "no board is seen", b""))
+    arm = load_robot(UR5, "tool0")
+    job = Imported(tuple(photographs), size, (), {}, nothing, (), arm).job(UR5, "marks.csv", "b.toml", camera_on="tip")
+    assert f"prior = {{ length = {prior} }}" in job
