@@ -4,11 +4,12 @@ Were a prior right, what a fit finds under it, x, would have the covariance S - 
 fit. So its sum of squares in those directions in which the data say something is a chi-square. Where data determine a
 parameter, a prior that is too narrow does little harm. So it is made as wide as the data say, S f^2 for all its
 parameters g, and counts where this moves what is predicted: by C_g (S / (1 - f^-2) - C_gg)^-1 x_g, as where the fit is
-linear. Else it is a warning, for how parameters share what the data do not tell apart is as sure as the prior.
+linear. Else it is only told, for how parameters share what the data do not tell apart is as sure as the prior.
 """
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +34,7 @@ _SAID = 0.1
 _SURELY, _FARTHER = 1e-6, 1.5
 # Standard deviations of what is predicted at the poses of the fit. With less, nine of ten regions hold the truth.
 _PULL = 0.3
-_CODE, _HARMLESS = "prior-contradicted", "prior-too-narrow"
+_CODE, HARMLESS = "prior-contradicted", "prior-too-narrow"
 _OR_LEARNED = ', or write "learned"'
 _MUCH = "; what the data do not tell is less certain than regions say."
 _LITTLE = "; predictions hardly depend on it, but the values of single parameters do."
@@ -67,7 +68,8 @@ def contradicted(fit: Fit, parts: Sequence[Stretch]) -> list[Finding]:
         if is_stated_scale(parameter) and (prior := parameter.prior)
         if abs(off := value - (parameter.centre or 0.0)) > _OFF * prior
     ]
-    judged = [_judged(fit, np.array(which), what, parts) for which, what in _stated_together(fit)]
+    among = set(parts[0].columns.tolist()) if parts else set()
+    judged = [_judged(fit, np.array(which), what, parts) for which, what in _stated_together(fit, among)]
     wrong = sorted((one for one in judged if one is not None), key=lambda one: -one.off)
     if not wrong:
         return found
@@ -76,14 +78,17 @@ def contradicted(fit: Fit, parts: Sequence[Stretch]) -> list[Finding]:
     more = f" The same seems true of {also}, perhaps by that alone." if also else ""
     harms = max(one.pull for one in wrong) >= _PULL
     said = _MUCH if harms else _LITTLE
-    return [*found, Finding.warning(_CODE if harms else _HARMLESS, wrong[0].sentence + said + more)]
+    return [*found, Finding.warning(_CODE if harms else HARMLESS, wrong[0].sentence + said + more)]
 
 
-def _stated_together(fit: Fit) -> Iterator[tuple[list[int], str]]:
-    """Yield the numbers of the parameters of which something is stated alike, and what they are."""
+def _stated_together(fit: Fit, among: AbstractSet[int]) -> Iterator[tuple[list[int], str]]:
+    """Yield the numbers of the parameters of which something is stated alike, and what they are; only ``among`` these.
+
+    Of very many set-ups some are looked at.
+    """
     alike = defaultdict[tuple[str, str, float], list[int]](list)
     for k, parameter in enumerate(fit.parameters):
-        if parameter.prior is None or parameter.group is not None or parameter.nuisance:
+        if parameter.prior is None or parameter.group is not None or parameter.nuisance or k not in among:
             continue
         base = "the base" if parameter.name.count(".") == 1 else parameter.name.rpartition(".")[0]
         of = {"base": base, "term": "joint terms"}.get(parameter.kind, "the arm")
@@ -104,7 +109,9 @@ def _judged(fit: Fit, which: IntArray, what: str, parts: Sequence[Stretch]) -> _
     if not told:
         return None
     square = float(np.sum((directions.T @ off / prior)[is_told] ** 2 / said[is_told]))
-    freedom = min(noise.degrees_of_freedom for noise in fit.noise)
+    # As far as it is noise that makes them scatter, and not the prior, it is known by so many numbers (Satterthwaite).
+    noisy = float(np.mean(1.0 - said[is_told]))
+    freedom = min(noise.degrees_of_freedom for noise in fit.noise) / max(noisy, 1e-3) ** 2
     farther = float(np.sqrt(square / told))
     if farther < _FARTHER or freedom <= 0.0 or exceeded(square, told, freedom) > _SURELY:
         return None

@@ -34,7 +34,7 @@ from calib.assessment.mixed_machines import mixed_machines
 from calib.assessment.outliers import Outliers, outliers
 from calib.assessment.own_base import OwnBase, tables_with_own_base
 from calib.assessment.places import unshown
-from calib.assessment.priors import contradicted
+from calib.assessment.priors import HARMLESS, contradicted
 from calib.assessment.stretches import by_photograph, pose_by_pose, stretches
 from calib.foundations.chance import exceeded
 from calib.foundations.linear import one_thread
@@ -101,6 +101,7 @@ def verdict(
             of_rows.axes(strains(poses, C)),
             of_rows.resolution(rounding(parts, fit.model.robot), fit),
         )
+        priors = contradicted(fit, parts)
         told = (
             of_fit.convergence(fit),
             of_errors.explained(fit, decisive),
@@ -122,10 +123,11 @@ def verdict(
             of_arm.lengths(fit, parts),
             of_arm.tool_and_base(fit),
             of_arm.lens(fit),
-            of_arm.warnings((*findings, *contradicted(fit, parts))),
+            of_arm.warnings((*findings, *priors)),
         )
         alone = unchecked(residue, "tool")
-    shown = (*shown_range(fit, own, held_out), *unshown(fit))
+    harmless = (one.sentence for one in priors if one.code == HARMLESS)
+    shown = (*shown_range(fit, own, held_out), *unshown(fit), *harmless)
     if alone:
         which = f"the {noun(len(alone), 'tool')} {listed(alone)}"
         shown = (

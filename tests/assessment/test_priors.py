@@ -58,7 +58,9 @@ def test_where_data_tell_all_that_matters_it_is_said_and_no_doubt() -> None:
     fit = session(0, wider=4.0, sigma=1e-5)
     (said,) = said_of(fit)
     assert said.code == "prior-too-narrow" and "; predictions hardly depend on it, but " in said.sentence
-    assert not any("The prior" in doubt for doubt in calib.assess(fit).doubts)
+    found = calib.assess(fit)
+    assert not any("The prior" in doubt for doubt in found.doubts)
+    assert said.sentence in found.shown
 
 
 def test_what_is_most_off_is_named() -> None:
@@ -118,3 +120,20 @@ def test_priors_that_are_right_are_no_cause_of_a_jump() -> None:
     found = calib.assess(calib.identify(fit.model, replace(data, position=data.position + moved)))
     assert any("seems to have changed" in doubt for doubt in found.doubts)
     assert not any("error_model.prior" in doubt for doubt in found.doubts)
+
+
+def test_of_a_base_among_many_set_ups_it_is_said() -> None:
+    """What hardly is noise is known well, however few numbers tell the noise."""
+    rng = np.random.default_rng(0)
+    robot = calib.load_robot(*UR5)
+    true = machines.arm(*UR5).moved(rng)
+    sets, setups = [], {}
+    for k in range(6):
+        base = machines.anywhere(rng)
+        machine = machines.Machine(true, base, {"tool": machines.pose((0.05, 0.02, 0.15))})
+        data = machine.measure(robot, rng.uniform(-2.0, 2.0, (6, 6)), rng=rng, sigma=2e-5)
+        sets.append(replace(data, setups=(f"s{k}",), where=f"{k}.csv"))
+        setups[f"s{k}"] = SetUp(base @ machines.pose((0.03 * (k == 4), 0.0, 0.0)), 2e-3, 2e-3)
+    model = calib.error_model(robot, offsets="all", placements="all", known=calib.Known(setups=setups))
+    (found,) = said_of(calib.identify(model, sets))
+    assert found.sentence.startswith("The prior of lengths of base.s4 (2 mm) is not what the data say: ")
