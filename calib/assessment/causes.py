@@ -20,11 +20,12 @@ from calib.assessment.checks.of_fit import ROUNDING
 from calib.assessment.checks.of_rows import FAR, MANY, RARELY, SURE
 from calib.assessment.influence import Residue
 from calib.assessment.judged import JudgedSet
+from calib.assessment.priors import with_unit
 from calib.assessment.stretches import Stretch, stretches
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound, exceeded
 from calib.foundations.errors import CalibError
-from calib.foundations.units import DEG, MM
+from calib.foundations.units import MM
 from calib.foundations.words import noun
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near, residuals_of
@@ -261,7 +262,7 @@ def _lengths_said(wrong: Sequence[tuple[Measurements, float]]) -> str:
 
 def _without_priors(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
     """Return what is left if the arm may be as far from its URDF as the data say, whatever priors are stated."""
-    held = [p for p in fit.parameters if p.of_robot and p.prior is not None and p.group is None]
+    held = [p for p in fit.parameters if p.of_robot and p.is_stated]
     if not held:
         return None
     priors = fit.model.priors
@@ -290,9 +291,9 @@ def _without_priors(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
 def _priors_said(parameter: Parameter, value: float) -> str:
     """Return what is said of stated priors, by the parameter that they hold back most."""
     assert parameter.prior is not None, "it is held"
-    size, unit = {"m": (MM, "mm"), "rad": (DEG, "deg")}.get(parameter.unit, (1.0, parameter.unit))
+    stated = with_unit(parameter.prior, parameter.unit)
     return (
         "What is left is explained if the arm is farther from its URDF than error_model.prior lets it be, "
-        f"{parameter.name} by {value / size:+.3g} {unit} where {parameter.prior / size:.3g} {unit} is stated: state "
-        'how far it may really be, or write "learned".'
+        f"{parameter.name} by {with_unit(value, parameter.unit, '+')} where {stated} "
+        'is stated: state how far it may really be, or write "learned".'
     )

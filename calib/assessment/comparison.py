@@ -198,8 +198,7 @@ def compare_models(
     group = row_groups(sets, places=True, known={name for model in models.values() for name in model.targets})
     all_rows = len(group)
     looked_at = some_rows(sets, group, _ENOUGH_ROWS)
-    masks = np.split(looked_at, np.cumsum([len(data) for data in sets])[:-1])
-    rows = ChosenRows(sets, model_sigmas, losses).some(masks)
+    rows = ChosenRows(sets, model_sigmas, losses).some_of_all(looked_at)
     group = np.unique(group[looked_at], return_inverse=True)[1]
     things = {(k, name) for d in sets for k, names in enumerate((d.targets, d.tools, d.setups)) for name in names}
     many = all_rows > _VERY_MANY_ROWS or len(things) > _VERY_MANY_THINGS

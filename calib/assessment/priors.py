@@ -86,9 +86,9 @@ def _stated_together(fit: Fit, among: AbstractSet[int]) -> Iterator[tuple[list[i
 
     Of very many set-ups some are looked at.
     """
-    alike = defaultdict[tuple[str, str, float], list[int]](list)
+    alike = defaultdict[tuple[str, str, float | None], list[int]](list)
     for k, parameter in enumerate(fit.parameters):
-        if parameter.prior is None or parameter.group is not None or parameter.nuisance or k not in among:
+        if not parameter.is_stated or parameter.nuisance or k not in among:
             continue
         base = "the base" if parameter.name.count(".") == 1 else parameter.name.rpartition(".")[0]
         of = {"base": base, "term": "joint terms"}.get(parameter.kind, "the arm")
@@ -116,11 +116,11 @@ def _judged(fit: Fit, which: IntArray, what: str, parts: Sequence[Stretch]) -> _
     if farther < _FARTHER or freedom <= 0.0 or exceeded(square, told, freedom) > _SURELY:
         return None
     weight = np.linalg.solve(np.eye(len(which)) * prior**2 / (1.0 - farther**-2) - C, off)
-    most = int(np.argmax(np.abs(off)))
+    most, unit = int(np.argmax(np.abs(off))), parameters[0].unit
     sentence = (
-        f"The prior of {what} ({_shown(prior, parameters[0].unit)}) is not what the data say: they show them "
+        f"The prior of {what} ({with_unit(prior, unit)}) is not what the data say: they show them "
         f"{farther:.2g} times as far from what is stated, {parameters[most].name} most, by "
-        f"{_shown(off[most], parameters[most].unit, '+')} and more, as the prior holds it back. State how far they may "
+        f"{with_unit(off[most], unit, '+')} and more, as the prior holds it back. State how far they may "
         f"really be{_OR_LEARNED if parameters[0].of_robot else ''}"
     )
     return _Wrong(what, float(np.abs(off[most])) / prior, _pull(fit, which, weight, parts), sentence)
@@ -151,7 +151,8 @@ def _pull(fit: Fit, which: IntArray, weight: Array, parts: Sequence[Stretch]) ->
     return float(np.sqrt(moved / scatter))
 
 
-def _shown(value: float, unit: str, sign: str = "") -> str:
+def with_unit(value: float, unit: str, sign: str = "") -> str:
+    """Return a value of a parameter as a person reads it: in mm or deg where it is in m or rad."""
     if unit == "m":
         return f"{value / MM:{sign}.3g} mm"
     return f"{value / DEG:{sign}.3g} deg" if unit == "rad" else f"{value:{sign}.3g} {unit}"

@@ -8,8 +8,6 @@ rows of the fit, and is named only where it makes errors of the rows held out sm
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from calib.assessment.gain import gain
 from calib.assessment.judged import JudgedSet
 from calib.assessment.validation import ChosenRows, row_groups, some_rows
@@ -56,7 +54,8 @@ def suggestions(fit: Fit, held_out: Sequence[Measurements]) -> tuple[str, ...]:
     quantity = QUANTITIES[held_out[0].kind][0].name
     held_out = [data for data in held_out if quantity in {q.name for q in QUANTITIES[data.kind]}]
     now = residuals_of(fit, held_out, fit.machine)
-    rows = _some(fit)
+    sets = fit.measurements
+    rows = ChosenRows(sets, None, fit.losses).some_of_all(some_rows(sets, row_groups(sets), _ROWS))
     best, least = "", 1.0
     for kind in KINDS:
         if kind.key not in _TRIED or any(term.kind in kind.names for term in fit.model.robot.terms):
@@ -76,13 +75,6 @@ def suggestions(fit: Fit, held_out: Sequence[Measurements]) -> tuple[str, ...]:
                 f'{100.0 * (1.0 - least):.0f} % smaller; terms = "auto" chooses among all kinds.'
             )
     return (best,) if best else ()
-
-
-def _some(fit: Fit) -> ChosenRows:
-    """Return the rows of a fit; of very many, some."""
-    sets = fit.measurements
-    chosen = some_rows(sets, row_groups(sets), _ROWS)
-    return ChosenRows(sets, None, fit.losses).some(np.split(chosen, np.cumsum([len(data) for data in sets])[:-1]))
 
 
 def _with(fit: Fit, rows: ChosenRows, kind: Kind, held_out: Sequence[Measurements]) -> tuple[Array, ...] | None:

@@ -429,6 +429,10 @@ class ChosenRows:
             which,
         )
 
+    def some_of_all(self, chosen: BoolArray) -> "ChosenRows":
+        """Return the rows chosen by a mask (N,) of the rows of all sets, as :meth:`some` does."""
+        return self.some(np.split(chosen, np.cumsum([len(data) for data in self.sets])[:-1]))
+
     def fit(self, model: ErrorModel, near: Fit | None = None) -> Fit:
         """Identify a model from them; ``near``: a fit to more rows of that machine, to begin at."""
         find = identify if near is None else partial(identify_near, near)

@@ -211,10 +211,15 @@ def are_placements(T: Array, within: float = 1e-6) -> BoolArray:
 
 def are_rotations(R: Array, within: float = 1e-6) -> BoolArray:
     """Return which of N matrices (N, 3, 3) are rotations, to ``within`` in every entry of R^T R."""
+    orthogonal = are_orthogonal(R, within)
+    return np.asarray(orthogonal & (np.linalg.det(np.where(orthogonal[:, None, None], R, 0.0)) > 0.0))
+
+
+def are_orthogonal(R: Array, within: float = 1e-6) -> BoolArray:
+    """Return which of N matrices (N, 3, 3) are rotations or mirror images of such, as :func:`are_rotations`."""
     # No entry of a rotation is beyond 1; what is would overflow, and a comparison with nan is false.
     R = np.where((np.abs(R) < 2.0).all(axis=(1, 2), keepdims=True), R, 0.0)
-    orthogonal = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2)) < within
-    return np.asarray(orthogonal & (np.linalg.det(R) > 0.0))
+    return np.asarray(np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2)) < within)
 
 
 def quaternion_of(R: Array) -> Array:

@@ -114,6 +114,11 @@ class Parameter:
         return self.kind in ("target", "instrument")
 
     @property
+    def is_stated(self) -> bool:
+        """Whether its prior is stated, and not learned."""
+        return self.prior is not None and self.group is None
+
+    @property
     def as_freed(self) -> "Parameter":
         """The parameter with its wider weak prior, where it has one."""
         return self if self.freed is None else replace(self, weak_prior=self.freed, freed=None)

@@ -57,15 +57,16 @@ class RawTable:
     data: bytes
     form: Layout
 
-    def all_numbers(self, k: int) -> Array | None:
-        """Return the numbers (count,) of a column, of all rows; None where some cell is none."""
-        words = [
-            cells(line.text, self.form.separator, f"{self.where}:{line.number}")[k]
+    def all_numbers(self, columns: Sequence[int]) -> list[Array | None]:
+        """Return the numbers (count,) of columns, of all rows; None for one of which some cell is none."""
+        rows = (
+            cells(line.text, self.form.separator, f"{self.where}:{line.number}")
             for block in lines(self.data, self.where)
             for line in block
             if line.number > self.form.last
-        ]
-        return _column(self.columns[k].title, "", words, self.form.separator).numbers
+        )
+        words = zip(*([row[k] for k in columns] for row in rows), strict=True)
+        return [_column("", "", own, self.form.separator).numbers for own in words]
 
 
 def raw_table(data: bytes, where: str) -> RawTable:
@@ -114,14 +115,14 @@ def _whole(data: bytes, where: str) -> RawTable:
     return RawTable(where, tuple(columns), count, form.remarks, form.named, data, form)
 
 
-def _column(title: str, unit: str, words: Sequence[str], separator: str) -> RawColumn:
+def _column(title: str, unit: str, words: tuple[str, ...], separator: str) -> RawColumn:
     name, symbol = split_title(title)
     filled = [word for word in words if word]
     numbers = None
     if filled and all(is_number(word, separator) for word in filled):
         values = [float(word.replace(",", ".")) if word else np.nan for word in words]
         numbers = read_only(np.where(np.isinf(values), np.nan, values))
-    return RawColumn(title, name, symbol or unit or None, numbers, tuple(words))
+    return RawColumn(title, name, symbol or unit or None, numbers, words)
 
 
 def split_title(title: str) -> tuple[str, str | None]:

@@ -12,6 +12,7 @@ from unicodedata import normalize
 
 import numpy as np
 
+from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.measurement.raw import RawTable
 
@@ -196,9 +197,7 @@ def _turns(table: RawTable, nine: Sequence[int]) -> bool:
     """Return whether nine columns are rotations by rows."""
     R = numbers_of(table, nine).reshape(-1, 3, 3)
     R = R[np.isfinite(R).all(axis=(1, 2))]
-    if np.abs(R).max(initial=0.0) > 2.0:
-        return False
-    return bool(len(R) and np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max() < 1e-2)
+    return bool(len(R) and rigid.are_orthogonal(R, 1e-2).all())
 
 
 def _texts(table: RawTable) -> list[int]:

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.foundations.arrays import Array
 from calib.robot.sources import resolve
 from tests.proposal.twins import TWINS
 from tests.support import machines
 from tests.support.cases import run
-from tests.support.people import PANDA, UR10, quaternions, robot, session, text
+from tests.support.people import PANDA, UR10, Session, quaternions, robot, session, text
 
 UR10_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 OF = {twin.name: twin for twin in TWINS}
@@ -23,6 +24,19 @@ OF = {twin.name: twin for twin in TWINS}
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+def told_of(folder: Path, s: Session, titles: list[str], values: Array) -> tuple[str, dict[str, str]]:
+    """What ``calib init`` says of joints, point and other columns, in a line, and which it reads as what."""
+    joints = [f"A{k} [deg]" for k in range(1, 7)]
+    measured = [np.degrees(s.readings), 1e3 * s.position, values]
+    (folder / "measured.csv").write_text(
+        text([*joints, "x [mm]", "y [mm]", "z [mm]", *titles], measured), encoding="utf-8"
+    )
+    said = run("init", UR10, "measured.csv", "--yes")
+    assert said.code == 0
+    (table,) = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))["measurements"]
+    return " ".join(said.out.split()), table["columns"]
 
 
 def put(folder: Path, name: str, file: str = "measured.csv") -> str:
@@ -381,15 +395,8 @@ def test_a_torque_may_be_named(folder: Path) -> None:
 def test_torques_are_those_of_the_joints_by_their_numbers(folder: Path, titles: list[str], read: bool) -> None:
     s = session()
     torques = np.sin(s.readings + 0.3)
-    joints = [f"A{k} [deg]" for k in range(1, 7)]
-    measured = [np.degrees(s.readings), 1e3 * s.position, torques]
-    (folder / "measured.csv").write_text(
-        text([*joints, "x [mm]", "y [mm]", "z [mm]", *titles], measured), encoding="utf-8"
-    )
-    said = run("init", UR10, "measured.csv", "--yes")
-    assert said.code == 0
-    assert ("are the torques of" in " ".join(said.out.split())) == read
-    columns = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))["measurements"][0]["columns"]
+    told, columns = told_of(folder, s, titles, torques)
+    assert ("are the torques of" in told) == read
     names = [f"tau_{reading.name} [Nm]" for reading in robot(UR10, "tool0").readings]
     assert [columns.get(name) for name in names] == (titles if read else [None] * 6)
     assert run("check", "calibration.toml").code == 0
@@ -416,15 +423,8 @@ def test_standard_deviations_of_the_point_are_read(
     rng = np.random.default_rng(0)
     sigmas = size * rng.uniform(0.5, 1.5, (500, len(titles)))
     sigmas[1, 0] *= 1 - zeros
-    joints = [f"A{k} [deg]" for k in range(1, 7)]
-    measured = [np.degrees(s.readings), 1e3 * s.position, sigmas]
-    (folder / "measured.csv").write_text(
-        text([*joints, "x [mm]", "y [mm]", "z [mm]", *titles], measured), encoding="utf-8"
-    )
-    said = run("init", UR10, "measured.csv", "--yes")
-    assert said.code == 0
-    assert ("are the standard deviations of the point" in " ".join(said.out.split())) == (read is not None)
-    columns = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))["measurements"][0]["columns"]
+    told, columns = told_of(folder, s, titles, sigmas)
+    assert ("are the standard deviations of the point" in told) == (read is not None)
     found = {ours: theirs for ours, theirs in columns.items() if ours.startswith("sigma")}
     assert found == (dict(zip([f"sigma_{axis} [{read}]" for axis in "xyz"], titles, strict=True)) if read else {})
     assert run("check", "calibration.toml").code == 0

@@ -272,8 +272,8 @@ def _sigmas(seen: Seen, best: Trial) -> dict[str, str]:
     if len(columns) < len(own) or any(name.startswith("sigma") for name in seen.named):
         return {}
     names = {}
-    for axis, k, point in zip("xyz", columns, own, strict=True):
-        column, values = seen.raw.columns[k], seen.raw.all_numbers(k)
+    for axis, k, values, point in zip("xyz", columns, seen.raw.all_numbers(columns), own, strict=True):
+        column = seen.raw.columns[k]
         symbol = column.symbol or point.symbol or best.units[2]
         if values is None or not all(map(RANGES["sigma"].holds, (values * UNITS[symbol].factor).tolist())):
             return {}

@@ -120,8 +120,7 @@ def _rotations(
         for order in orders:
             yield None, order, "", rigid.rotation_of_quaternion(numbers[:, order])
     elif one.form == "matrix":
-        matrices = numbers.reshape(-1, 3, 3)
-        if np.abs(numbers).max() < 2.0 and np.abs(np.swapaxes(matrices, 1, 2) @ matrices - np.eye(3)).max() < 1e-2:
+        if rigid.are_orthogonal(numbers.reshape(-1, 3, 3), 1e-2).all():
             yield "matrix", range(9), "", rotations_of(numbers, "matrix")
     elif of_dimension(columns, "angle"):
         names = [given] if given is not None else ["rotation_vector", *EULER]
