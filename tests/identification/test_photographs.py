@@ -97,6 +97,23 @@ def test_photographs_held_out_ask_for_the_shape_that_a_board_has_and_for_no_more
         assert not bundle.clearly_better(squares[1], squares[2])
 
 
+def test_one_photograph_unlike_the_others_does_not_hide_what_all_of_them_ask_for() -> None:
+    rng = np.random.default_rng(4)
+    rich = rng.uniform(0.002, 0.008, 16)
+    simple = rich * rng.uniform(2.0, 8.0, 16)
+    assert bundle.clearly_better(simple, rich)
+    # As of the only tilted photograph among those from straight above.
+    simple[7] = 60.0 * simple.max()
+    assert bundle.clearly_better(simple, rich)
+    # What all but one gain is lost by that one.
+    rich[7] = 2.0 * simple.sum()
+    assert not bundle.clearly_better(simple, rich)
+    same = rng.uniform(0.002, 0.008, 16)
+    assert not bundle.clearly_better(same, same * np.exp(rng.normal(scale=0.5, size=16)))
+    assert bundle.clearly_better(np.full(4, 0.01), np.zeros(4))
+    assert not bundle.clearly_better(np.array([np.nan, 1.0, np.nan]), np.array([0.1, 0.1, 0.1]))
+
+
 def test_too_few_marks_tell_nothing() -> None:
     some = photographs()
     poor = some[0]._replace(**{k: getattr(some[0], k)[:3] for k in Photograph._fields})
