@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
@@ -37,8 +37,9 @@ from calib.measurement.formats.images import (
 )
 from calib.measurement.formats.sheet import Sheet, read_sheet
 from calib.measurement.instruments import CameraPlace
-from calib.measurement.orientations import ANGLES
+from calib.measurement.orientations import ANGLES, MATRIX
 from calib.measurement.prints import Print
+from calib.measurement.roles import matrices
 from calib.measurement.table import Columns, Table, read_table
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
@@ -253,7 +254,7 @@ def import_photographs(
         titles, rows = given.titles, list(given.rows)
         poses = None if told is None or robot is None else _nominal(readings, robot)
     else:
-        titles, rows, own, made, poses = _of_flange(given, given.table, robot, orientation, told, camera_on)
+        titles, rows, own, made, poses = _of_flange(given, given.table, robot, told, camera_on)
         given = given._replace(remarks=own)
     if print_.half_turn is not None:
         photographs, turned = _one_way_up(photographs, named, given, told, poses, print_)
@@ -328,6 +329,7 @@ class _Given(NamedTuple):
     rows: tuple[tuple[str, ...], ...]
     remarks: tuple[str, ...]
     table: Table | None
+    columns: Columns
 
 
 def _given(path: Path, robot: Robot | None, orientation: str | None) -> _Given:
@@ -338,21 +340,39 @@ def _given(path: Path, robot: Robot | None, orientation: str | None) -> _Given:
         raise MeasurementError(f"{path}: there is no column {IMAGE!r}; the columns are {', '.join(map(repr, names))}.")
     images = tuple(_images(sheet, names.index(IMAGE)))
     own, said = [k for k, name in enumerate(names) if name != IMAGE], f"{path} has readings of the joints"
-    if set(POSITION) <= set(names) and _TURNED & set(names):
+    columns = _of_poses(names, orientation)
+    if columns is not None:
         joints = [] if robot is None else [reading.name for reading in robot.readings]
         if not joints or not set(joints) <= set(names):
-            table = read_table(path, Columns({"group": IMAGE}))
-            if orientation is not None or not set(ANGLES) <= set(names):
-                _poses(path, orientation)
-            return _Given(path, images, (), (), (), table)
+            table = read_table(path, replace(columns, orientation=None))
+            if columns.orientation is not None or not set(ANGLES) <= set(names):
+                _poses(path, columns)
+            return _Given(path, images, (), (), (), table, columns)
         own = [k for k in own if names[k] in joints]
         said += ", which are taken; its poses of the flange are not needed"
+    if robot is None:
+        said += "; no robot is named, so that no job is written"
     rows = tuple(tuple(row[k] for k in own) for row in sheet.rows)
-    return _Given(path, images, tuple(sheet.titles[k] for k in own), rows, (said,), None)
+    return _Given(path, images, tuple(sheet.titles[k] for k in own), rows, (said,), None, Columns({"group": IMAGE}))
 
 
-def _poses(path: Path, orientation: str | None) -> Array:
-    table = read_table(path, Columns({"group": IMAGE}, orientation=orientation))
+def _of_poses(names: Sequence[str], orientation: str | None) -> Columns | None:
+    """Return how columns are read that state poses of the flange, one matrix in cells such as ``T_0_3`` among them."""
+    if set(POSITION) <= set(names) and _TURNED & set(names):
+        matrix = "r11" in names and not {"qw", "rx"} & set(names)
+        return Columns({"group": IMAGE}, orientation=orientation or ("matrix" if matrix else None))
+    found = [(nine, point) for nine, point in matrices(names, range(len(names))) if point is not None]
+    if len(found) != 1:
+        return None
+    nine, point = found[0]
+    cells = [names[k] for k in (*nine.columns, *point.columns)]
+    own = dict(zip((*MATRIX, *POSITION), cells, strict=True))
+    others = tuple(name for name in names if name not in (IMAGE, *cells))
+    return Columns({"group": IMAGE, **own}, ignore=others, orientation=orientation or "matrix")
+
+
+def _poses(path: Path, columns: Columns) -> Array:
+    table = read_table(path, columns)
     return rigid.placement(orientations(table), stacked(table, dict.fromkeys(POSITION, "length")))
 
 
@@ -445,15 +465,15 @@ def _of_flange(
     given: _Given,
     table: Table,
     robot: Robot | None,
-    orientation: str | None,
     told: Seen | None,
     camera_on: CameraPlace,
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]], tuple[str, ...], str, Array]:
     """Return titles and cells of the readings, how these came, the URDF that they are of, if it is made, and poses."""
-    path, known = given.path, ""
-    if orientation is None:
+    path, columns, known = given.path, given.columns, ""
+    if columns.orientation is None:
         orientation, known = orientation_of(table, told, camera_on)
-    poses = _poses(path, orientation)
+        columns = replace(columns, orientation=orientation)
+    poses = _poses(path, columns)
     refuse_mistakes(table, poses, told, camera_on, given.images)
     if robot is None:
         angles = rigid.rpy_of(poses[:, :3, :3])

@@ -146,7 +146,7 @@ def roles(table: RawTable) -> Roles:
             orientations.append(Orientation(rest, form, None, family.words))
         elif len(family.columns) == 4 and family.words and family.words <= _QUATERNION:
             orientations.append(Orientation(family.columns, "quaternion", None, family.words))
-    for matrix, point in _matrices([column.name for column in table.columns], numeric):
+    for matrix, point in matrices([column.name for column in table.columns], numeric):
         orientations.append(matrix)
         if point is not None:
             points.append(point)
@@ -282,7 +282,7 @@ def _families(parts: Sequence[Sequence[str]], numeric: Iterable[int]) -> Iterato
             )
 
 
-def _matrices(names: Sequence[str], numeric: Iterable[int]) -> Iterator[tuple[Orientation, Point | None]]:
+def matrices(names: Sequence[str], numeric: Iterable[int]) -> Iterator[tuple[Orientation, Point | None]]:
     """Yield the nine numbers of rotations, and the point of a fourth column, from names like r11 or T[0,3]."""
     found: dict[str, dict[tuple[int, int], int]] = {}
     for k in numeric:

@@ -211,6 +211,34 @@ def test_the_flange_in_other_conventions_is_the_same_pose(folder: Path, orientat
                 assert float(a[name]) == pytest.approx(float(b[name]), abs=2e-8)
 
 
+@pytest.mark.parametrize("called", ["r{}{}", "T_{}_{}"])
+def test_matrices_of_the_flange_need_no_word(folder: Path, called: str) -> None:
+    """As other programs call their cells; the last row says nothing."""
+    titles, rows = "", []
+    first, size = (1, 3) if called.startswith("r") else (0, 4)
+    for image, p, R in turned(folder):
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R.as_matrix(), p
+        rows.append([image, *T[:size, :size].ravel(), *(p if size == 3 else ())])
+    for i, j in np.ndindex(size, size):
+        titles += called.format(i + first, j + first) + ("[mm] " if size == 4 and j == 3 and i < 3 else " ")
+    table = written(folder, titles + ("x[mm] y[mm] z[mm]" if size == 3 else ""), rows)
+    seen = []
+    for readings in ("flange.csv", table):
+        assert imported(folder, readings).code == 0
+        seen.append([float(row["flange_rx [rad]"]) for row in csv.DictReader((folder / "marks.csv").open())])
+        for file in folder.glob("marks*"):
+            file.unlink()
+    np.testing.assert_allclose(*seen, atol=1e-8)
+
+
+def test_where_no_robot_is_named_no_job_is_written_and_this_is_said(folder: Path) -> None:
+    said = imported(folder)
+    assert said.code == 0
+    assert not (folder / "marks.toml").exists()
+    assert "no robot is named, so that no job is written" in said.out
+
+
 def turned(folder: Path) -> list[tuple[str, np.ndarray, simulation.Rotation]]:
     """Return images, places in mm and rotations of the flange as they are."""
     rows = list(csv.reader((folder / "flange.csv").open()))[1:]

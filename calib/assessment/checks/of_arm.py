@@ -27,7 +27,7 @@ REST = 1e-4
 # Shares by which all links, or one, may differ in length from the URDF, and a length that any may; standard errors. An
 # instrument whose scale is off looks like links that all are, which explains so much of what their lengths do: with the
 # place of one arm off beside another it was 0.71.
-SCALE, LINK, LINK_LENGTH, SURE, ALIKE = 0.015, 0.04, 0.025, 6.0, 0.9
+SCALE, LINK, LINK_LENGTH, SURE, ALIKE = 0.015, 0.04, 0.025, 6.0, 0.8
 # In m, rms: a common share that moves the tool by less is how links of any arm err. Of sound arms with 0.5 mm in each
 # length it was 0.6 mm at the most; 5 % more length moved the tool of the smallest arm that was tried by 3.8 mm. Arms of
 # 5 mm and of 20 m err by as small a share of themselves: shares of the reach below which lengths in m are too many, and
