@@ -217,7 +217,8 @@ def _images(folders: Sequence[Path], out: Path, robot: str | None, said: OfImage
     if model is not None:
         texts[job] = found.job(model, out.name, seen_from(folder, said.board), camera_on=camera_on)
     write_together(texts)
+    without = [] if job in texts else ["No job is written, as no arm is named (--robot)."]
     telling.tell(
         lambda: {"files": list(map(str, texts)), **found.contents()},
-        lambda: [*found.sentences, f"Written: {', '.join(map(str, texts))}."],
+        lambda: [*found.sentences, *without, f"Written: {', '.join(map(str, texts))}."],
     )

@@ -350,8 +350,6 @@ def _given(path: Path, robot: Robot | None, orientation: str | None) -> _Given:
             return _Given(path, images, (), (), (), table, columns)
         own = [k for k in own if names[k] in joints]
         said += ", which are taken; its poses of the flange are not needed"
-    if robot is None:
-        said += "; no robot is named, so that no job is written"
     rows = tuple(tuple(row[k] for k in own) for row in sheet.rows)
     return _Given(path, images, tuple(sheet.titles[k] for k in own), rows, (said,), None, Columns({"group": IMAGE}))
 

@@ -236,7 +236,7 @@ def test_where_no_robot_is_named_no_job_is_written_and_this_is_said(folder: Path
     said = imported(folder)
     assert said.code == 0
     assert not (folder / "marks.toml").exists()
-    assert "no robot is named, so that no job is written" in said.out
+    assert "No job is written, as no arm is named (--robot)." in said.out
 
 
 def turned(folder: Path) -> list[tuple[str, np.ndarray, simulation.Rotation]]:
