@@ -42,6 +42,14 @@ _TURNS = _words("r rot rotation phi theta euler ang angle angles orientation ori
 _PLACES = _words("p pos position t trans translation")
 _QUATERNION = frozenset(("q", "quat", "quaternion"))
 _POSE = frozenset(("pose", "tcp", "cartesian", "cart"))
+# Of three or four numbers in a list, what is called so is a vector; what is called as joints are is none.
+_VECTORS = (
+    _PLACES | _MEASURED | _words("tvec xyz point coord coords coordinate coordinates location ee eef tcp tip marker")
+)
+_VECTORS_OF_TURNS = _TURNS - _words("r w o")
+_OF_JOINTS = _words("joint joints j q axis axes angle angles theta thetas motor servo encoder a")
+# A target that is named beside these is what they see.
+_SEES = _words("cam camera sensor eye optical")
 # Titles of what is neither a joint nor measured: never joints by their place alone.
 _BESIDE = _words(
     "time t timestamp stamp sec secs nsec date no nr id idx index number row seq count point temperature temp "
@@ -112,7 +120,8 @@ def _as_written(name: str) -> list[str]:
 
 def _rank(words: Iterable[str]) -> Rank:
     words = set(words)
-    return 2 if words & _COMMANDED else 0 if words & _MEASURED else 1
+    commanded = _COMMANDED - {"target"} if words & _SEES else _COMMANDED
+    return 2 if words & commanded else 0 if words & _MEASURED else 1
 
 
 def roles(table: RawTable) -> Roles:
@@ -139,14 +148,21 @@ def roles(table: RawTable) -> Roles:
             points.append(Point(columns, words, _rank(words)))
     orientations += _by_letters(parts, numeric)
     for family in _families(parts, numeric):
-        if family.words & _POSE and len(family.columns) in (6, 7) and not family.words & _NO_POSITION:
+        if family.is_pose and len(family.columns) in (6, 7) and not family.words & _NO_POSITION:
             first, rest = family.columns[:3], family.columns[3:]
             points.append(Point((first[0], first[1], first[2]), family.words, _rank(family.words)))
             form: Literal["angles", "quaternion"] = "angles" if len(rest) == 3 else "quaternion"
             orientations.append(Orientation(rest, form, None, family.words))
         elif len(family.columns) == 4 and family.words and family.words <= _QUATERNION:
             orientations.append(Orientation(family.columns, "quaternion", None, family.words))
-    for matrix, point in matrices([column.name for column in table.columns], numeric):
+        elif isinstance(of_list := _vector(table, family), Point):
+            points.append(of_list)
+        elif of_list is not None:
+            orientations.append(of_list)
+    for matrix, point in (
+        *matrices([column.name for column in table.columns], numeric),
+        *_flat_matrices(table, _families(parts, numeric)),
+    ):
         orientations.append(matrix)
         if point is not None:
             points.append(point)
@@ -260,12 +276,31 @@ def _by_letters(parts: Sequence[Sequence[str]], numeric: Sequence[int]) -> Itera
                 yield Orientation(columns, "angles", convention if in_order else None, frozenset(rest))
 
 
+def _vector(table: RawTable, family: "Family") -> Point | Orientation | None:
+    """Return the point, or the orientation, that a list of three or four numbers is by its name; None for others."""
+    columns, words = family.columns, family.words
+    if len(columns) not in (3, 4) or words & (_NO_POSITION | _OF_JOINTS - _VECTORS_OF_TURNS):
+        return None
+    if len(columns) == 4:
+        turns = words & _VECTORS_OF_TURNS and _is_of_unit_length(table, columns)
+        return Orientation(columns, "quaternion", None, words) if turns else None
+    if words & _VECTORS_OF_TURNS:
+        vector = "rotation_vector" if words & {"rvec", "rotvec", "rv"} else None
+        return Orientation(columns, "angles", vector, words)
+    return Point((columns[0], columns[1], columns[2]), words, _rank(words)) if words & _VECTORS else None
+
+
 class Family(NamedTuple):
     """Columns that differ by a number, in its order, which runs without gaps from 0 or 1."""
 
     columns: tuple[int, ...]
     words: frozenset[str]
     called: str
+
+    @property
+    def is_pose(self) -> bool:
+        """Whether it is called a pose; one of the joints is their readings."""
+        return bool(self.words & _POSE) and not self.words & {"joint", "joints"}
 
 
 def _families(parts: Sequence[Sequence[str]], numeric: Iterable[int]) -> Iterator[Family]:
@@ -301,6 +336,29 @@ def matrices(names: Sequence[str], numeric: Iterable[int]) -> Iterator[tuple[Ori
                     x, y, z = (k for k in last if k is not None)
                     point = Point((x, y, z), words, _rank(words))
                 yield nine, point
+                break
+
+
+def _flat_matrices(table: RawTable, families: Iterable[Family]) -> Iterator[tuple[Orientation, Point]]:
+    """Yield rotation and point of placements in a list, of 12 or 16 numbers, by rows or by columns: numbers tell which.
+
+    Sixteen have a last row of 0 0 0 1.
+    """
+    for family in families:
+        if len(family.columns) not in (12, 16):
+            continue
+        numbers = numbers_of(table, family.columns)
+        T = numbers[np.isfinite(numbers).all(axis=1)].reshape(-1, len(family.columns) // 4, 4)
+        order = np.arange(len(family.columns)).reshape(-1, 4)
+        for M, cells in ((T, order), (np.swapaxes(T, 1, 2), order.T)) if T.shape[1] == 4 else ((T, order),):
+            is_whole = M.shape[1] < 4 or bool((M[:, 3] == (0.0, 0.0, 0.0, 1.0)).all())
+            if len(M) and is_whole and rigid.are_rotations(M[:, :3, :3], 1e-2).all():
+                x, y, z = (family.columns[k] for k in cells[:3, 3].tolist())
+                nine = tuple(family.columns[k] for k in cells[:3, :3].ravel().tolist())
+                yield (
+                    Orientation(nine, "matrix", "matrix", family.words),
+                    Point((x, y, z), family.words, _rank(family.words)),
+                )
                 break
 
 
@@ -371,19 +429,23 @@ def joints_by_order(table: RawTable, count: int, known: Roles) -> list[Joints]:
     numeric = [k for k, column in enumerate(table.columns) if column.numbers is not None]
     found, sizes = [], [len(family.columns) for family in _families(parts, numeric)]
     for family in _families(parts, numeric):
-        if any(_changes(table, k) for k in family.columns[count:]):  # else of axes that the arm does not have
+        if any(changes(table, k) for k in family.columns[count:]):  # else of axes that the arm does not have
             continue
-        axes = {k for point in known.points for k in point.columns} | {
-            k for turned in known.orientations if turned.form != "quaternion" for k in turned.columns
+        # Three numbers in a list may be a vector, or the joints of an arm that has three.
+        axes = {k for point in known.points if point.columns != family.columns for k in point.columns} | {
+            k
+            for turned in known.orientations
+            if turned.form != "quaternion" and turned.columns != family.columns
+            for k in turned.columns
         }
         if (
             len(family.columns) >= count
-            and not family.words & (_NO_POSITION | _POSE)
+            and not (family.words & _NO_POSITION or family.is_pose)
             and not axes & set(family.columns)
             and not (family.words <= _QUATERNION and count == 4 and sizes.count(count) > 1)
         ):
             found.append(Joints(family.columns[:count], _rank(family.words), "by their numbers", False))
-    found = [one for one in found if any(_changes(table, k) for k in one.columns)] or found
+    found = [one for one in found if any(changes(table, k) for k in one.columns)] or found
     if not found:
         left = [k for k in numeric if k not in known.spoken and not set(parts[k]) & set("xyz")]
         if len(left) == count and left == list(range(left[0], left[0] + count)):
@@ -391,7 +453,8 @@ def joints_by_order(table: RawTable, count: int, known: Roles) -> list[Joints]:
     return found
 
 
-def _changes(table: RawTable, column: int) -> bool:
+def changes(table: RawTable, column: int) -> bool:
+    """Return whether a column has two values."""
     numbers = table.columns[column].numbers
     return numbers is None or len(set(numbers[np.isfinite(numbers)].tolist())) > 1
 
@@ -400,7 +463,7 @@ def numbered_columns(table: RawTable) -> list[int]:
     """Return how many columns each family has that may be joints, for a sentence."""
     parts = [tokens(column.name) for column in table.columns]
     numeric = [k for k, column in enumerate(table.columns) if column.numbers is not None]
-    return [len(f.columns) for f in _families(parts, numeric) if not f.words & (_NO_POSITION | _POSE)]
+    return [len(f.columns) for f in _families(parts, numeric) if not (f.words & _NO_POSITION or f.is_pose)]
 
 
 class Unnamed(NamedTuple):

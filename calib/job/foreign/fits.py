@@ -16,7 +16,7 @@ from calib.job.foreign.seen import Seen
 from calib.job.proposal import About
 from calib.measurement.bodies import points_of_one_body
 from calib.measurement.raw import RawColumn
-from calib.measurement.roles import Point, Rank, numbers_of
+from calib.measurement.roles import Point, Rank, changes, numbers_of
 from calib.robot.robot import Robot
 
 # A share of the spread of what was measured. Sound arms with a degree and a millimetre of errors leave 0.1 to 1 %, with
@@ -25,7 +25,7 @@ FOLLOWS = 0.15
 # What comes so near, or within three times what the best leaves, is a rival that something else must decide on.
 ALIKE, TIMES = 0.1, 3.0
 # Nothing that an instrument measures agrees with a URDF so well.
-_COMPUTED = 2e-5
+COMPUTED = 2e-5
 # Rows on which a reading is tried, and in how many ways one table is read: of each it is seen how well the arm follows.
 _MOST_ROWS, _MOST_WAYS = 120, 400
 _LIMIT_SLACK = 1.1
@@ -179,7 +179,7 @@ def decided(seen: Seen, trials: Sequence[Trial]) -> Trial:
 
 def _computed(seen: Seen, rivals: Sequence[Trial]) -> set[tuple[int, int, int]]:
     """Return the columns of points that were computed from the joints, where another one may have been measured."""
-    found = {t.point.columns for t in rivals if t.fit.miss < _COMPUTED}
+    found = {t.point.columns for t in rivals if t.fit.miss < COMPUTED}
     if not any(t.point.rank < 2 and t.point.columns not in found for t in rivals):
         return set()
     for columns in sorted(found):
@@ -279,7 +279,7 @@ def _say_fit(seen: Seen, best: Trial, trials: Sequence[Trial]) -> None:
                 f"{what} are taken to be in {unit}: the arm follows to {best.fit.miss / MM:.3g} mm, "
                 f"{best.fit.share:.2%} of the spread{said}"
             )
-    if best.fit.miss < _COMPUTED:
+    if best.fit.miss < COMPUTED:
         seen.reasons.append(
             "the nominal arm follows within "
             f"{1e6 * best.fit.miss:.2g} um: this point seems to be computed from the joints, not measured, and a "
@@ -300,8 +300,9 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
         raise ask("joints", f"{where}: several columns may be the joints", (), "--column 'JOINT=TITLE' or --tip")
     written = all(seen.raw.columns[k].symbol is not None for k in (*pick.joints.columns, *trials[0].point.columns))
     answered = seen.answers.angles is not None and seen.answers.lengths is not None
-    if enough and not np.isfinite(trials[0].fit.share):
-        raise ask("columns", f"{where}: {seen.titles(trials[0].point.columns)} never change")
+    if enough and not any(changes(seen.raw, k) for k in trials[0].point.columns):
+        point = seen.titles(trials[0].point.columns)
+        raise ask("columns", f"{where}: {point} never change, and nothing else is a point", (), "--column 'x=TITLE'")
     if enough and not ((written or answered) and (pick.joints.exact or seen.answers.columns)):
         parts = _parts_question(seen, trials)
         if parts is not None:

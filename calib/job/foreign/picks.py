@@ -41,7 +41,7 @@ def picks_of(seen: Seen) -> list[Pick]:
     for arm, joints in _joints(seen):
         # What a joint reads is no measured point.
         points = [point for point in _points(seen) if not set(point.columns) & set(joints.columns)]
-        picks += [Pick(arm, joints, point, _turned(seen, point)) for point in points or (None,)]
+        picks += [Pick(arm, joints, point, _turned(seen, point, joints)) for point in points or (None,)]
     return _as_answered(seen, picks)
 
 
@@ -56,20 +56,22 @@ def _points(seen: Seen) -> list[roles.Point]:
         # The words around its titles are those of its orientation, too.
         words = (one.words for one in seen.known.points if one.columns == given)
         return [roles.Point((given[0], given[1], given[2]), next(words, frozenset()), 1)]
-    return list(seen.known.points)
+    # The zeros of a matrix that is a rotation alone are no place of anything.
+    every = seen.known.points
+    return [point for point in every if any(roles.changes(seen.raw, k) for k in point.columns)] or list(every)
 
 
-def _turned(seen: Seen, point: roles.Point | None) -> tuple[roles.Orientation, ...]:
+def _turned(seen: Seen, point: roles.Point | None, joints: roles.Joints) -> tuple[roles.Orientation, ...]:
     """Return the orientations that belong to a point: those with the same words around them, or the only one."""
     every = seen.known.orientations
     if point is None:
         return ()
-    own = set(point.columns)
+    own = {*point.columns, *joints.columns}
     free = tuple(one for one in every if not own & set(one.columns))
     aside = {"rot", "rotation", "quat", "q", "r", "phi", "euler", "orientation", "ori", "p", "pos", "position", "t"}
-    aside |= {"trans", "translation", "rvec", "rotvec", "rv", "o", "w", "coord"}
+    aside |= {"trans", "translation", "tvec", "rvec", "rotvec", "rv", "o", "w", "coord", "xyz", "point"}
     alike = tuple(one for one in free if one.words - aside == point.words - aside)
-    return alike or (free if len(seen.known.points) == 1 else ())
+    return alike or (free if len(_points(seen)) == 1 else ())
 
 
 def _joints(seen: Seen) -> list[tuple[Chain, roles.Joints]]:

@@ -15,7 +15,7 @@ from calib.job.foreign import fits
 from calib.job.foreign.answers import Answers, Found, Pick, Trial, ask, of_dimension, run_of, values_of
 from calib.job.foreign.picks import no_joints, no_point, picks_of
 from calib.job.foreign.seen import CHOSEN, Seen, is_ours
-from calib.job.foreign.turns import orientation_of
+from calib.job.foreign.turns import inverse_question, orientation_of
 from calib.measurement.kinds import Kind
 from calib.measurement.orientations import ANGLES, MATRIX, ORIENTATIONS
 from calib.measurement.raw import RawColumn, RawTable, split_title
@@ -49,6 +49,11 @@ def _positions(seen: Seen, picks: Sequence[Pick]) -> Found:
     enough = trials and len(trials[0].rows) >= FEWEST_ROWS
     if enough and trials[0].fit.share < fits.FOLLOWS:
         best = fits.decided(seen, trials)
+        others = [trial for trial in trials if trial.point.columns != best.point.columns]
+        if best.fit.miss < fits.COMPUTED and (inverse := inverse_question(seen, others)) is not None:
+            raise inverse  # what was measured stands beside what was computed
+    elif enough and (inverse := inverse_question(seen, trials)) is not None:
+        raise inverse
     elif not seen.raw.named and len({pick.point for pick in picks}) > 1:
         raise no_joints(seen)  # columns that nothing names, and no way that fits: which are meant, only a person knows
     else:

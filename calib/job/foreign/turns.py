@@ -8,10 +8,10 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError
-from calib.foundations.units import DEG, UNITS
-from calib.identification.followed import turned_along
+from calib.foundations.units import DEG, MM, UNITS
+from calib.identification.followed import FEWEST_ROWS, followed, turned_along
 from calib.job.foreign.answers import AskedError, Trial, ask, of_dimension, values_of
-from calib.job.foreign.fits import TIMES, options
+from calib.job.foreign.fits import FOLLOWS, TIMES, options
 from calib.job.foreign.seen import SCALAR, Seen
 from calib.measurement.orientations import EULER, MAKERS, rotations_of
 from calib.measurement.raw import RawColumn
@@ -81,6 +81,47 @@ def orientation_of(seen: Seen, best: Trial) -> tuple[str | None, tuple[int, ...]
         + f": it turns with the arm within {way.angle / DEG:.2g} deg"
     )
     return way.convention, way.columns, way.unit
+
+
+def inverse_question(seen: Seen, trials: Sequence[Trial]) -> AskedError | None:
+    """Return a question where the arm follows the inverse of poses: of a board, say, as a camera on the arm sees it."""
+    found = [(*_inverse_fit(seen, trial, one), trial, one) for trial in trials for one in trial.pick.turned]
+    if not found:
+        return None
+    share, miss, trial, turned = min(found, key=lambda one: one[0])
+    if share >= FOLLOWS:
+        return None
+    return ask(
+        "position",
+        f"{seen.raw.where}: the poses {seen.titles(trial.point.columns)} with {seen.titles(turned.columns)} are "
+        "inverse (of the instrument in the tool, as of a board that a camera on the arm sees): the arm follows to "
+        f"{miss / MM:.3g} mm, {share:.2%} of the spread, where each is turned round",
+        (),
+        "a table in which R' and -R' t stand for each rotation R and position t",
+    )
+
+
+def _inverse_fit(seen: Seen, trial: Trial, one: Orientation) -> tuple[float, float]:
+    """Return the share and the miss in m with which the arm follows inverse poses; infinite where none turn with it.
+
+    By what angle rows turn against each other tells most conventions apart, whatever base and tool are.
+    """
+    own = [seen.raw.columns[k] for k in one.columns]
+    numbers = np.column_stack([values_of(column) for column in own])[trial.rows]
+    if len(trial.rows) < FEWEST_ROWS or not np.isfinite(numbers).all():
+        return np.inf, np.inf
+    by_arm = _between_rows(trial.tips[:, :3, :3])
+    fits = [
+        followed(trial.tips, -np.einsum("nji,nj->ni", R, trial.position))
+        for _, _, _, R in _rotations(seen, one, own, numbers)
+        if np.sqrt(np.mean((_between_rows(R) - by_arm) ** 2)) < _FOLLOWS_ANGLE
+    ]
+    return min(((fit.share, fit.miss) for fit in fits), default=(np.inf, np.inf))
+
+
+def _between_rows(R: Array) -> Array:
+    """Return the angles (N - 1,) in rad between rotations (N, 3, 3) of neighbouring rows."""
+    return np.asarray(np.linalg.norm(rigid.log3(np.swapaxes(R[:-1], 1, 2) @ R[1:]), axis=-1))
 
 
 def _asked(seen: Seen, alike: Sequence[_Way]) -> AskedError:
