@@ -4,8 +4,10 @@ import io
 import json
 import os
 import re
+import struct
 import time
 import zipfile
+import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -123,6 +125,44 @@ def test_a_text_of_matrices_that_are_torn_or_none(folder: Path) -> None:
     assert read_sheet(folder / "named.txt").titles[:2] == ("m00", "m01")
 
 
+def object_of_matlab(name: str, order: str, packed: bool) -> bytes:
+    """Return an element as MATLAB writes a table: an object of its class system, which the file's end describes."""
+
+    def text(word: str) -> bytes:
+        return struct.pack(f"{order}II", 1, len(word)) + word.encode().ljust(-(-len(word) // 8) * 8, b"\0")
+
+    numbers = struct.pack(f"{order}IIII", 6, 8, 13, 0) + struct.pack(f"{order}IIII", 5, 8, 6, 1)
+    numbers += struct.pack(f"{order}HHI" if order == ">" else f"{order}II", *((0, 1, 0) if order == ">" else (1, 0)))
+    numbers += struct.pack(f"{order}II6I", 6, 24, 0xDD000000, 2, 1, 1, 1, 1)
+    inside = struct.pack(f"{order}IIII", 6, 8, 17, 0) + text(name) + text("MCOS") + text("table")
+    inside += struct.pack(f"{order}II", 14, len(numbers)) + numbers
+    whole = struct.pack(f"{order}II", 14, len(inside)) + inside
+    if not packed:
+        return whole
+    small = zlib.compress(whole)
+    return struct.pack(f"{order}II", 15, len(small)) + small
+
+
+@pytest.mark.parametrize("packed", [True, False])
+def test_an_object_of_matlab_is_named_and_hides_no_matrix(folder: Path, packed: bool) -> None:
+    """MATLAB keeps the values of objects in an array without a name, which is no array of the user's."""
+    s = session()
+    savemat(folder / "m.mat", {"q": s.readings, "p": s.position}, do_compression=packed)
+    savemat(folder / "hidden.mat", {"h": np.zeros((1, 999), np.uint8)})
+    plain = (folder / "m.mat").read_bytes()
+    hidden = (folder / "hidden.mat").read_bytes()[128:].replace(b"\1\0\1\0h\0\0\0", b"\1\0\0\0\0\0\0\0")
+    table = object_of_matlab("measured", "<", packed)
+    (folder / "both.mat").write_bytes(plain + table + hidden)
+    found = read_sheet("both.mat")
+    assert found.titles[0] == "q_0" and len(found.rows) == 40
+    assert found.remarks == ("'measured' is no array of numbers or words with 40 rows, and left out",)
+    (folder / "alone.mat").write_bytes(plain[:128] + table + hidden)
+    with pytest.raises(
+        calib.MeasurementError, match=r"^alone.mat: 'measured' is an object of MATLAB, such as a table, "
+    ):
+        read_sheet("alone.mat")
+
+
 def test_what_is_wrong_with_a_file_of_matlab_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     savemat(folder / "m.mat", {"q": np.arange(12.0).reshape(2, 6)})
     whole = (folder / "m.mat").read_bytes()
@@ -214,8 +254,29 @@ def test_points_in_order_and_rows_that_do_not_fit(folder: Path) -> None:
     said = run("import", "readings.csv", "stream.csv", "-o", "b.csv")
     assert said.err.endswith('and the joints are the readings, with clock = "free".\n')
     said = run("import", "joints.csv", "sa.txt", "-o", "b.csv", "--by", "Group")
-    assert said.err == "Error: joints.csv, sa.txt: 'Group' does not name each row of both tables exactly once.\n"
+    assert said.err.startswith("Error: joints.csv, sa.txt: 'Group' does not tell which rows belong together: ")
+    said = run("import", "joints.csv", "sa.txt", "-o", "b.csv", "--by", "Point")
+    assert said.err.startswith("Error: joints.csv, sa.txt: no column is called 'Point'; they are 'Pose', 'J1', ")
     assert not (folder / "b.csv").exists()
+
+
+def test_times_are_known_however_they_are_written(folder: Path) -> None:
+    (folder / "q.csv").write_text("Time (s),q1_deg\n0.0,1.5\n0.01,2.5\n0.02,3.5\n")
+    (folder / "p.csv").write_text("Time[s],X,Y,Z\n0.0,1.2,2.1,3.3\n0.01,2.2,3.1,4.3\n")
+    assert "as both have times, a job joins them" in run("import", "q.csv", "p.csv", "-o", "b.csv").err
+
+
+def test_files_of_one_row_each_are_not_put_side_by_side(folder: Path) -> None:
+    """As programs write them that keep a file for each pose."""
+    for k in range(3):
+        (folder / f"pose_{k}.json").write_text(json.dumps({"q": [0.1 * k] * 6, "position": [k, 2, 3]}))
+    files = [f"pose_{k}.json" for k in range(3)]
+    said = run("import", *files, "-o", "a.csv")
+    assert said.code == 1
+    assert "pose_0.json, pose_1.json: have one row each of the same columns; --stack file puts" in said.err
+    assert run("import", *files, "--stack", "file", "-o", "a.csv").code == 0
+    assert len(read_sheet(folder / "a.csv").rows) == 3
+    assert run("import", *files, "--by", "order", "-o", "b.csv").code == 0
 
 
 def test_points_in_another_order_are_not_taken_for_measurements(folder: Path) -> None:

@@ -19,7 +19,7 @@ import scipy
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
-from calib.foundations.words import counted, listed
+from calib.foundations.words import counted, listed, noun
 from calib.measurement.cells import Rows
 from calib.measurement.layout import of_list, refuse_long_name
 
@@ -31,6 +31,9 @@ _MOST_VALUES = 4_000_000
 # Of MATLAB's kinds those that are matrices of numbers, and its mark of a packed element.
 _OF_NUMBERS = frozenset(("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))))
 _PACKED = 15
+_OBJECT = 17
+# Of an element, what holds its class, dimensions and name.
+_HEAD = 300
 
 
 def from_npz(data: bytes, where: str) -> Rows:
@@ -62,6 +65,7 @@ def from_mat(data: bytes, where: str) -> Rows:
     """
     if len(data) > _LARGEST or _unpacked(data) > _LARGEST:
         raise MeasurementError(f"{where}: unpacks to more than {_LARGEST} bytes.")
+    data, objects = _without_objects(data)
     try:
         with warnings.catch_warnings(action="ignore"):  # of names that come twice, and what it passes over
             held = scipy.io.whosmat(file := cast(Any, io.BytesIO(data)))
@@ -83,21 +87,75 @@ def from_mat(data: bytes, where: str) -> Rows:
         array = np.asarray(read.get(name, ()))
         if array.dtype.kind in "iuf" and array.ndim in (2, 3) and array.size:
             arrays[name] = np.moveaxis(array, 2, 0) if array.ndim == 3 else array.ravel() if 1 in array.shape else array
-    return _as_columns(arrays, names, where)
+    if objects and not arrays:
+        raise MeasurementError(
+            f"{where}: {listed(objects)} {noun(len(objects), 'is an object', 'are objects')} of MATLAB, such as a "
+            f"table, and not read; save {noun(len(objects), 'it', 'them')} there as matrices, as table2array makes "
+            "them, or by writetable as text."
+        )
+    return _as_columns(arrays, [*names, *objects], where)
 
 
 def _unpacked(data: bytes) -> int:
     """Return how many bytes the packed elements of a MATLAB file have together, as far as it matters."""
-    order = "<" if data[126:128] == b"IM" else ">"
-    at, size = 128, 0
-    while at + 8 <= len(data) and size <= _LARGEST:
-        kind, count = struct.unpack_from(f"{order}II", data, at)
+    size = 0
+    for kind, _, inside in _elements(data):
         if kind == _PACKED:
-            unpacking = zlib.decompressobj()
-            with contextlib.suppress(zlib.error):  # what is damaged is said where it is read
-                size += len(unpacking.decompress(data[at + 8 : at + 8 + count], _LARGEST + 1 - size))
-        at += 8 + count
+            size += len(_beginning(inside, _LARGEST + 1 - size))
+        if size > _LARGEST:
+            break
     return size
+
+
+def _elements(data: bytes) -> Iterator[tuple[int, memoryview, memoryview]]:
+    """Yield the elements of a MATLAB file: the kind of each, all its bytes, and those inside."""
+    view, at = memoryview(data), 128
+    while at + 8 <= len(view):
+        kind, count = struct.unpack_from(f"{_order(data)}II", view, at)
+        yield kind, view[at : at + 8 + count], view[at + 8 : at + 8 + count]
+        at += 8 + count
+
+
+def _order(data: bytes) -> str:
+    return "<" if data[126:128] == b"IM" else ">"
+
+
+def _beginning(packed: memoryview, most: int) -> bytes:
+    with contextlib.suppress(zlib.error):  # what is damaged is said where it is read
+        return zlib.decompressobj().decompress(packed, most)
+    return b""
+
+
+def _without_objects(data: bytes) -> tuple[bytes, list[str]]:
+    """Return a MATLAB file without objects and what has no name, where these keep their values; and their names.
+
+    SciPy lists nothing of a file that has an object, such as a table.
+    """
+    names: list[str] = []
+    others: list[memoryview] = []
+    for kind, whole, inside in _elements(data):
+        head = _beginning(inside, 8 + _HEAD)[8:] if kind == _PACKED else bytes(inside[:_HEAD])
+        is_object, name = _class_and_name(head, _order(data))
+        if is_object:
+            names.append(name or "?")
+        elif name != "":
+            others.append(whole)
+    return (b"".join([data[:128], *others]), names) if names else (data, [])
+
+
+def _class_and_name(head: bytes, order: str) -> tuple[bool, str | None]:
+    """Return whether a matrix is an object, and its name; None where it cannot be told."""
+    try:
+        is_object = struct.unpack_from(f"{order}I", head, 8)[0] & 0xFF == _OBJECT
+        at = 16
+        if not is_object:  # dimensions come before the name
+            at += 8 + -(-struct.unpack_from(f"{order}I", head, at + 4)[0] // 8) * 8
+        word, size = struct.unpack_from(f"{order}II", head, at)
+    except struct.error:
+        return False, None
+    # Short names are packed into one word of their own.
+    begin, size = (at + 4, word >> 16) if word >> 16 else (at + 8, size)
+    return is_object, head[begin : begin + size].decode("latin-1")
 
 
 def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[str], where: str) -> Rows:

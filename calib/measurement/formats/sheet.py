@@ -173,6 +173,11 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
     """
     if by == "order":
         return _in_order(first, second, "in order each row needs one beside it")
+    if by is None and len(first.rows) == len(second.rows) == 1 and first.titles == second.titles:
+        raise MeasurementError(
+            f"{first.where}, {second.where}: have one row each of the same columns; --stack file puts such files one "
+            "below the other, --by order side by side."
+        )
     own, other = _naming(first, by), _naming(second, by)
     ways = [
         (a, b)
@@ -192,9 +197,7 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
         )
     if not ways:
         if by is not None:
-            raise MeasurementError(
-                f"{first.where}, {second.where}: {shown(by)} does not name each row of both tables exactly once."
-            )
+            raise MeasurementError(f"{first.where}, {second.where}: {_names_nothing(first, second, by)}.")
         refused = "no column tells which rows belong together"
         if _timed(first) and _timed(second):
             refused += (
@@ -220,8 +223,18 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
     return Sheet(titles, rows, first.where, remarks, size=first.size + second.size)
 
 
+def _names_nothing(first: Sheet, second: Sheet, by: str) -> str:
+    """Return why the title ``by`` does not tell which rows belong together."""
+    if by not in (*first.titles, *second.titles):
+        return f"no column is called {shown(by)}; they are {listed([*first.titles, *second.titles], most=20)}"
+    return (
+        f"{shown(by)} does not tell which rows belong together: for that its cells are words or whole numbers, each "
+        "once, of which all of one table are in a column of the other"
+    )
+
+
 def _timed(sheet: Sheet) -> bool:
-    return any(name == "time" for name in sheet.names)
+    return any(name.lower() == "time" for name in sheet.names)
 
 
 def _in_order(first: Sheet, second: Sheet, refused: str) -> Sheet:
