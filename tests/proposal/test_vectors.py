@@ -170,3 +170,24 @@ def test_a_point_that_never_changes_is_named_with_an_option_that_there_is(tmp_pa
     found = proposal(tmp_path, lambda k: {"q": q[k].tolist(), "position": [0.1, 0.2, 0.3]})
     (question,) = found.questions
     assert question.sentence.endswith("never change, and nothing else is a point; answer by --column 'x=TITLE'.")
+
+
+def test_readings_in_degrees_and_in_radians_are_the_same(tmp_path: Path) -> None:
+    T, q = poses(), session().readings
+
+    def record(k: int) -> dict[str, Any]:
+        return {"joints_deg": np.degrees(q[k]).tolist(), "joints_rad": q[k].tolist(), "tvec_m": T[k, :3, 3].tolist()}
+
+    found = proposal(tmp_path, record)
+    assert columns(found)[2]["x"] == "tvec_m_0"
+    assert len([reason for reason in found.reasons if "are the same readings as joints_" in reason]) == 1
+
+
+def test_a_point_beside_the_matrix_that_has_it_is_the_same(tmp_path: Path) -> None:
+    T, q = poses(), session().readings
+    found = proposal(
+        tmp_path, lambda k: {"joints": q[k].tolist(), "tvec_m": T[k, :3, 3].tolist(), "T_board": T[k].tolist()}
+    )
+    observes, orientation, names = columns(found)
+    assert (observes, orientation, names["x"]) == ("pose", "matrix", "T_board_0_3")
+    assert any("are the same point as T_board_0_3" in reason for reason in found.reasons)

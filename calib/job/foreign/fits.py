@@ -26,6 +26,8 @@ FOLLOWS = 0.15
 ALIKE, TIMES = 0.1, 3.0
 # Nothing that an instrument measures agrees with a URDF so well.
 COMPUTED = 2e-5
+# By what tips differ at most, in m and in rotations, where the same readings are written twice.
+_SAME_READINGS = 1e-6
 # Rows on which a reading is tried, and in how many ways one table is read: of each it is seen how well the arm follows.
 _MOST_ROWS, _MOST_WAYS = 120, 400
 _LIMIT_SLACK = 1.1
@@ -206,7 +208,13 @@ def _apart(rivals: Sequence[Trial]) -> list[Trial]:
 
 def _of_one_point(seen: Seen, rivals: Sequence[Trial]) -> list[Trial]:
     """Return the rivals with the point whose name says most clearly that it was measured; or ask."""
-    chosen = _by_rank(seen, {t.point.columns: t.point.rank for t in rivals})
+    ranks = {t.point.columns: t.point.rank for t in rivals}
+    first = min(rivals, key=lambda t: (t.point.rank, not t.pick.turned))
+    if len(ranks) > 1 and all(_are_one_point(first, t) for t in rivals):
+        others = [seen.titles(columns) for columns in ranks if columns != first.point.columns]
+        seen.reasons.append(f"{' and '.join(others)} are the same point as {seen.titles(first.point.columns)}")
+        return [t for t in rivals if t.point.columns == first.point.columns]
+    chosen = _by_rank(seen, ranks)
     if chosen is None:
         raise _point_question(seen, {t.point for t in rivals})
     return [t for t in rivals if t.point.columns == chosen]
@@ -217,6 +225,11 @@ def _of_the_same_joints(seen: Seen, rivals: Sequence[Trial]) -> list[Trial]:
     ranks = {t.pick.joints.columns: t.pick.joints.rank for t in rivals}
     if len(ranks) > 1 and len({t.pick.joints.exact for t in rivals}) > 1:
         return [t for t in rivals if t.pick.joints.exact]
+    first = rivals[0]
+    if len(ranks) > 1 and all(_say_the_same(first, t) for t in rivals[1:]):
+        others = [seen.titles(columns) for columns in ranks if columns != first.pick.joints.columns]
+        seen.reasons.append(f"{' and '.join(others)} are the same readings as {seen.titles(first.pick.joints.columns)}")
+        return [t for t in rivals if t.pick.joints.columns == first.pick.joints.columns]
     chosen = _by_rank(seen, ranks)
     if chosen is None:
         first_joint = rivals[0].pick.arm.joints[0]
@@ -227,6 +240,17 @@ def _of_the_same_joints(seen: Seen, rivals: Sequence[Trial]) -> list[Trial]:
             "--column",
         )
     return [t for t in rivals if t.pick.joints.columns == chosen]
+
+
+def _say_the_same(one: Trial, other: Trial) -> bool:
+    """Return whether readings are the same, as in degrees and in radians."""
+    alike = one.tips.shape == other.tips.shape and one.pick.arm == other.pick.arm
+    return alike and bool(np.abs(one.tips - other.tips).max() < _SAME_READINGS)
+
+
+def _are_one_point(one: Trial, other: Trial) -> bool:
+    alike = one.position.shape == other.position.shape
+    return alike and bool(np.abs(one.position - other.position).max() < _SAME_READINGS)
 
 
 _Some = TypeVar("_Some", bound=tuple[int, ...])
