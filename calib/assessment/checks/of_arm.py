@@ -27,7 +27,7 @@ REST = 1e-4
 # Shares by which all links, or one, may differ in length from the URDF, and a length that any may; standard errors. An
 # instrument whose scale is off looks like links that all are, which explains so much of what their lengths do: with the
 # place of one arm off beside another it was 0.71.
-SCALE, LINK, LINK_LENGTH, SURE, ALIKE = 0.015, 0.04, 0.025, 6.0, 0.8
+SCALE, LINK, LINK_LENGTH, SURE, ALIKE = 0.015, 0.04, 0.025, 6.0, 0.9
 # In m, rms: a common share that moves the tool by less is how links of any arm err. Of sound arms with 0.5 mm in each
 # length it was 0.6 mm at the most; 5 % more length moved the tool of the smallest arm that was tried by 3.8 mm. Arms of
 # 5 mm and of 20 m err by as small a share of themselves: shares of the reach below which lengths in m are too many, and
@@ -182,40 +182,48 @@ def _common_scale(
     by_rows = float(np.sum(left[: len(x), 1] ** 2) - apart[:, 1] @ apart[:, 1])
     moves = float(np.sqrt(max(by_rows, 0.0))) * per_row
     moves = max(moves, float(np.abs(apart[:, 1] * sigmas).max(initial=0.0)))
-    direction = np.zeros(len(fit.parameters))
-    direction[own[moved]], direction[own[~moved]] = values[moved, 1], -taken[:, 1] * scales(fit.parameters)[own[~moved]]
-    moves = max(moves, _of_tool(fit, [part.data for part in parts if part.data.kind in SHORT], direction))
-    both, whole = float(left[:, 0] @ left[:, 1]), float(left[:, 0] @ left[:, 0])
-    alike = both**2 / (square * whole) if whole > 0.0 else 0.0
-    grown = both / square
+    directions = np.zeros((len(fit.parameters), 2))
+    directions[own[moved]], directions[own[~moved]] = values[moved], -taken * scales(fit.parameters)[own[~moved], None]
+    short = [part.data for part in parts if part.data.kind in SHORT]
+    of_tool = _of_tool(fit, short, directions)
+    moves = max(moves, float(np.sqrt(np.max(of_tool[:, 1, 1], initial=0.0))))
+    grams = of_tool if len(short) == len(parts) else (left.T @ left)[None]
+    (whole, across), (_, by_share) = grams.sum(axis=0)
+    alike = float(across**2 / (by_share * whole)) if whole > 0.0 and by_share > 0.0 else 0.0
+    grown = float(left[:, 0] @ left[:, 1]) / square
     of_nominal = 1.0 - grown if grown < 1.0 else NOTHING
     return grown / of_nominal, 1.0 / float(np.sqrt(square)) / of_nominal**2, moves, alike
 
 
-def _of_tool(fit: Fit, sets: Sequence[Measurements], direction: Array) -> float:
-    """Return by how many m (rms) tools move where the rows of sets were, per unit of a direction (p,) in SI units.
+def _of_tool(fit: Fit, sets: Sequence[Measurements], directions: Array) -> Array:
+    """Return mean products (k, d, d) of how tools move where the rows of k sets were, along directions (p, d).
 
-    Less what a motion of the whole machine does, which moves its base alone. All touches of one ball are at one place,
-    so readings are mixed: the arm is meant, and not what it touched. A loop may not close at any readings.
+    In m^2, per unit of directions in SI units. Less what a motion of the whole machine does, which moves its base
+    alone. All touches of one ball are at one place, so readings are mixed: the arm is meant, and not what it touched.
+    A loop may not close at any readings.
     """
-    frames, deviations = fit.machine.frames, fit.machine.deviations
-    x = values_at(fit.model.robot, fit.parameters, frames, deviations)
-    found = 0.0
-    for rows in sets:
+    x = values_at(fit.model.robot, fit.parameters, fit.machine.frames, fit.machine.deviations)
+    found = np.zeros((len(sets), directions.shape[1], directions.shape[1]))
+    for k, rows in enumerate(sets):
         n, readings = rows.readings.shape[0], rows.readings
         if not fit.model.robot.loops:
-            readings = np.column_stack([np.roll(q, k * n // len(readings.T)) for k, q in enumerate(readings.T)])
-        data, at = replace(rows, readings=readings), []
-        for step in (-STEP, STEP):
-            moved = machine(fit.model.robot, fit.parameters, frames, x + step * direction, deviations)
-            tools = replace(fit, machine=moved).tools_of(data)
-            at.append((data.tips(fit.model.robot, moved.deviations) @ tools)[:, :3, 3])
-        by, p = (at[1] - at[0]) / (2.0 * STEP), at[0] - at[0].mean(axis=0)
-        turned = np.cross(np.eye(3)[:, None], p).transpose(1, 2, 0).reshape(-1, 3)
+            readings = np.column_stack([np.roll(q, j * n // len(readings.T)) for j, q in enumerate(readings.T)])
+        data = replace(rows, readings=readings)
+        steps = [_places(fit, data, x + STEP * d) - _places(fit, data, x - STEP * d) for d in directions.T]
+        by = np.stack([step.ravel() for step in steps], axis=1) / (2.0 * STEP)
+        p = _places(fit, data, x)
+        turned = np.cross(np.eye(3)[:, None], p - p.mean(axis=0)).transpose(1, 2, 0).reshape(-1, 3)
         whole = np.hstack([turned, np.tile(np.eye(3), (n, 1))])
-        rest = by.ravel() - whole @ np.linalg.lstsq(whole, by.ravel(), rcond=None)[0]
-        found = max(found, float(np.sqrt(np.sum(rest**2) / n)))
+        rest = by - whole @ np.linalg.lstsq(whole, by, rcond=None)[0]
+        found[k] = rest.T @ rest / n
     return found
+
+
+def _places(fit: Fit, data: Measurements, x: Array) -> Array:
+    """Return the places (n, 3) of the tools of rows where the parameters of a fit have the values x (p,)."""
+    moved = machine(fit.model.robot, fit.parameters, fit.machine.frames, x, fit.machine.deviations)
+    tools = replace(fit, machine=moved).tools_of(data)
+    return np.asarray((data.tips(fit.model.robot, moved.deviations) @ tools)[:, :3, 3])
 
 
 def is_stated_scale(parameter: Parameter) -> bool:
