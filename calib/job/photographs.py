@@ -16,13 +16,13 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.files import sentences
 from calib.foundations.units import MM
-from calib.foundations.words import listed, shown
+from calib.foundations.words import listed, noun, shown
 from calib.job.chains import chains, whole_chains
 from calib.job.flange_poses import LEAST, Seen, orientation_of, refuse_mistakes, shown_by, way_up
 from calib.job.read import read_board
 from calib.job.toml_text import toml_text
 from calib.machine.calibrated import CalibratedMachine
-from calib.measurement.columns import POSITION, filled, orientations, stacked
+from calib.measurement.columns import KNOWN, POSITION, filled, orientations, stacked
 from calib.measurement.formats.images import (
     ENDINGS,
     LEAST_CORNERS,
@@ -39,8 +39,9 @@ from calib.measurement.formats.sheet import Sheet, read_sheet
 from calib.measurement.instruments import CameraPlace
 from calib.measurement.orientations import ANGLES, MATRIX
 from calib.measurement.prints import Print
+from calib.measurement.raw import split_title
 from calib.measurement.roles import matrices
-from calib.measurement.table import Columns, Table, read_table
+from calib.measurement.table import APPROACH, TORQUE, UNITLESS, Columns, Table, holds_words, no_unit, read_table
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
@@ -350,6 +351,9 @@ def _given(path: Path, robot: Robot | None, orientation: str | None) -> _Given:
             return _Given(path, images, (), (), (), table, columns)
         own = [k for k in own if names[k] in joints]
         said += ", which are taken; its poses of the flange are not needed"
+    elif robot is not None:
+        own, left = _own_columns(sheet, own, robot)
+        said += f"; {listed(left)} {noun(len(left), 'is', 'are')} not read" if left else ""
     rows = tuple(tuple(row[k] for k in own) for row in sheet.rows)
     return _Given(path, images, tuple(sheet.titles[k] for k in own), rows, (said,), None, Columns({"group": IMAGE}))
 
@@ -367,6 +371,19 @@ def _of_poses(names: Sequence[str], orientation: str | None) -> Columns | None:
     own = dict(zip((*MATRIX, *POSITION), cells, strict=True))
     others = tuple(name for name in names if name not in (IMAGE, *cells))
     return Columns({"group": IMAGE, **own}, ignore=others, orientation=orientation or "matrix")
+
+
+def _own_columns(sheet: Sheet, columns: Sequence[int], robot: Robot) -> tuple[list[int], list[str]]:
+    """Return the columns that a job reads of a table of pixels, and the titles of the others, which it would refuse.
+
+    Raises MeasurementError where one has no unit: the job would not say so before all photographs have been searched.
+    """
+    told = {f"{what}{reading.name}" for what in ("", APPROACH, TORQUE) for reading in robot.readings}
+    own = [k for k in columns if sheet.names[k] in told | KNOWN]
+    names = [sheet.names[k] for k in own if split_title(sheet.titles[k])[1] is None]
+    if unitless := [name for name in names if not (holds_words(name) or name in UNITLESS)]:
+        raise MeasurementError(f"{sheet.where}: {no_unit(unitless)}.")
+    return own, [sheet.titles[k] for k in columns if k not in own]
 
 
 def _poses(path: Path, columns: Columns) -> Array:

@@ -392,7 +392,7 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
         except HeaderError as e:
             wrong.append(str(e))
     if unitless:
-        wrong.insert(0, _no_unit(unitless))
+        wrong.insert(0, no_unit(unitless))
     if commands:
         listed = " and ".join(map(repr, commands))
         wrong.insert(
@@ -408,7 +408,8 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
     return header
 
 
-def _no_unit(names: Sequence[str]) -> str:
+def no_unit(names: Sequence[str]) -> str:
+    """Return the sentence, without its full stop, about columns that have no unit."""
     one, other = ("deg", "mm") if names[0][-1:].isdigit() else ("mm", "deg")
     if names[0] == "time":
         one, other = "s", "ms"

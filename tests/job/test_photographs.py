@@ -400,6 +400,27 @@ def test_one_sentence_and_nothing_written(folder: Path, wrong, says: str) -> Non
     assert sorted(folder.iterdir()) == before
 
 
+def test_readings_without_a_unit_are_told_before_the_photographs_are_searched(folder: Path) -> None:
+    """Else the table of pixels has them, and the job that is written beside it does not read it."""
+    spoil("readings.csv", (" [rad]", ""))(folder)
+    code, out, err = imported(folder, "readings.csv", "--robot", UR5)
+    assert (code, out) == (1, "")
+    assert "readings.csv: columns 'shoulder_pan_joint', " in err and "have no unit; write one in brackets" in err
+    assert not (folder / "marks.csv").exists()
+
+
+def test_columns_that_no_job_reads_are_left_out_of_the_table_of_pixels(folder: Path) -> None:
+    head, *rows = (folder / "readings.csv").read_text().splitlines()
+    (folder / "readings.csv").write_text(
+        "\n".join([f"{head},note,width [mm]", *(f"{row},warm,12" for row in rows), ""])
+    )
+    said = imported(folder, "readings.csv", "--robot", UR5)
+    assert "has readings of the joints; 'note', 'width [mm]' are not read." in said.out.replace("\n", " ")
+    with (folder / "marks.csv").open() as file:
+        assert not {"note", "width [mm]"} & set(next(csv.reader(file)))
+    assert run("check", folder / "marks.toml").code == 0
+
+
 def test_a_pose_that_the_arm_does_not_reach_is_named(folder: Path) -> None:
     text = (folder / "flange.csv").read_text().splitlines()
     cells = text[2].split(",")
