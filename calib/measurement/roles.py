@@ -459,11 +459,16 @@ def changes(table: RawTable, column: int) -> bool:
     return numbers is None or len(set(numbers[np.isfinite(numbers)].tolist())) > 1
 
 
-def numbered_columns(table: RawTable) -> list[int]:
-    """Return how many columns each family has that may be joints, for a sentence."""
+def numbered_columns(table: RawTable, known: Roles | None = None) -> list[int]:
+    """Return how many columns each family has that may be joints, for a sentence; none that are ``known`` otherwise."""
     parts = [tokens(column.name) for column in table.columns]
     numeric = [k for k, column in enumerate(table.columns) if column.numbers is not None]
-    return [len(f.columns) for f in _families(parts, numeric) if not (f.words & _NO_POSITION or f.is_pose)]
+    spoken = frozenset() if known is None else known.spoken
+    return [
+        len(f.columns)
+        for f in _families(parts, numeric)
+        if not (f.words & _NO_POSITION or f.is_pose or spoken.intersection(f.columns))
+    ]
 
 
 class Unnamed(NamedTuple):

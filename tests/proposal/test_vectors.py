@@ -191,3 +191,14 @@ def test_a_point_beside_the_matrix_that_has_it_is_the_same(tmp_path: Path) -> No
     observes, orientation, names = columns(found)
     assert (observes, orientation, names["x"]) == ("pose", "matrix", "T_board_0_3")
     assert any("are the same point as T_board_0_3" in reason for reason in found.reasons)
+
+
+def test_poses_of_hand_and_board_without_joints_are_refused_as_such(tmp_path: Path) -> None:
+    """As MoveIt keeps samples: sixteen numbers of a placement are no joints."""
+    T = poses()
+
+    def record(k: int) -> dict[str, Any]:
+        return {"effector_wrt_world": T[k].ravel().tolist(), "object_wrt_sensor": T[-k].ravel().tolist()}
+
+    with pytest.raises(calib.MeasurementError, match="no column is a joint of the arm"):
+        proposal(tmp_path, record)

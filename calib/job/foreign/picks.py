@@ -187,7 +187,7 @@ def no_joints(seen: Seen) -> Exception:
         end = "" if seen.answers.tip is None else f" on the way to {seen.answers.tip!r}"
         return RobotError(f"{seen.document.where}: no joint moves{end}, and there is nothing to calibrate.")
     longest = seen.arms[0].joints
-    sizes = [size for size in roles.numbered_columns(seen.raw) if size > 2] if seen.raw.named else []
+    sizes = [size for size in roles.numbered_columns(seen.raw, seen.known) if size > 2] if seen.raw.named else []
     if sizes:
         return ask(
             "joints",
