@@ -340,10 +340,10 @@ def _appear(path: Path, data: bytes, folder: int, *, new: bool) -> os.stat_resul
     with _unnamed(data, folder) as whole:
         try:
             if new and whole is not None:
-                ours = Path(whole).stat()
-                if _linked(whole, path, folder):
+                ours = os.fstat(whole)
+                if _linked(_by_number(whole), path, folder):
                     return ours
-            if whole is None or not _linked(whole, path.with_name(part), folder):
+            if whole is None or not _linked(_by_number(whole), path.with_name(part), folder):
                 create(part, folder, data)
             ours = os.stat(part, dir_fd=folder, follow_symlinks=False)
             if new and _linked(part, path, folder):
@@ -360,8 +360,8 @@ def _appear(path: Path, data: bytes, folder: int, *, new: bool) -> os.stat_resul
 
 
 @contextlib.contextmanager
-def _unnamed(data: bytes, folder: int) -> Iterator[str | None]:
-    """Write a file that has no name and ends with this process; give what it can be linked by.
+def _unnamed(data: bytes, folder: int) -> Iterator[int | None]:
+    """Write a file that has no name and ends with this process; give its descriptor.
 
     None where there are no such files: outside Linux, and on some file systems (NFS, FAT).
     """
@@ -375,7 +375,12 @@ def _unnamed(data: bytes, folder: int) -> Iterator[str | None]:
         return
     with os.fdopen(handle, "wb") as file:
         _to_disk(file, data)
-        yield f"/proc/self/fd/{handle}"
+        yield handle
+
+
+def _by_number(handle: int) -> str:
+    """Return what an open file without a name can be linked by, where there is a ``/proc``."""
+    return f"/proc/self/fd/{handle}"
 
 
 def _linked(file: str, path: Path, folder: int) -> bool:

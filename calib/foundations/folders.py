@@ -12,6 +12,7 @@ paths and never through links: a folder or a link that takes the place of anothe
 """
 
 import contextlib
+import errno
 import fcntl
 import json
 import os
@@ -44,6 +45,14 @@ _MARK = "files of an unfinished run of calib, which the next one removes"
 _LARGEST_LIST = 100_000
 # Whom else a folder of Linux lets in, and what is made in it.
 _ACCESS_LISTS = ("system.posix_acl_access", "system.posix_acl_default")
+# What keeps a folder where it is, by the number of the error.
+_UNMOVED = {
+    errno.EBUSY: "is a mount point, which cannot be replaced; choose a folder inside",
+    errno.EXDEV: (
+        "is part of what a container was started from (a lower layer of an overlay), where folders cannot be moved; "
+        "remove it or choose another one"
+    ),
+}
 # How long to wait for another run to read or write beside a folder, in s: it takes moments.
 _PATIENCE = 30.0
 _LOOK = 0.02
@@ -333,12 +342,14 @@ def _exchange(place: _Place, work: _Work, *, replaced: bool) -> None:
     if found is not None:
         if not stat.S_ISDIR(found.st_mode):
             raise OutputError(f"{place.path}: is no folder any more; choose another.")
-        os.rename(place.name, _OLD, src_dir_fd=place.above, dst_dir_fd=work.handle)
+        with _said_of_moving(place.path):
+            os.rename(place.name, _OLD, src_dir_fd=place.above, dst_dir_fd=work.handle)
     try:
         os.rename(_NEW, place.name, src_dir_fd=work.handle, dst_dir_fd=place.above)
     except OSError as e:
         if found is None:
-            raise
+            with _said_of_moving(place.path):
+                raise
         if place.taken():
             kept = place.path.with_name(work.name) / _OLD
             raise OutputError(f"{place.path}: another has taken its place meanwhile; what was there is {kept}.") from e
@@ -350,6 +361,18 @@ def _exchange(place: _Place, work: _Work, *, replaced: bool) -> None:
     except OSError:  # the end puts the old one back
         os.rename(place.name, _NEW, src_dir_fd=place.above, dst_dir_fd=work.handle)
         raise
+
+
+@contextlib.contextmanager
+def _said_of_moving(path: Path) -> Iterator[None]:
+    """Say why a folder cannot be moved, or none take its place, where the system's word for it does not."""
+    try:
+        yield
+    except OSError as e:
+        why = _UNMOVED.get(e.errno or 0)
+        if why is None:
+            raise
+        raise OutputError(f"{path}: {why}.") from e
 
 
 def _end(place: _Place, work: _Work) -> None:

@@ -6,6 +6,7 @@ Names are drawn as they are: two dollars in one make no formula of it (``parse_m
 
 import contextlib
 import io
+import os
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -40,10 +41,15 @@ _ROW_OF_FIT = 0.2  # inches for one parameter and its name
 def load_matplotlib() -> None:
     """Load matplotlib for a command that writes a figure: without the settings of the current folder.
 
-    Those are of whoever has put files there, and may have TeX run.
+    Those are of whoever has put files there, and may have TeX run. Where this user has no home, it makes a folder of
+    its own among the temporary ones, and has to enter it to remove it in the end, whatever the umask.
     """
-    with contextlib.chdir("/"):
-        import_module("matplotlib")
+    before = os.umask(0o077)
+    try:
+        with contextlib.chdir("/"):
+            import_module("matplotlib")
+    finally:
+        os.umask(before)
 
 
 def figure_bytes(figure: "Figure", path: Path) -> bytes:

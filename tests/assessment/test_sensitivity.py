@@ -1,5 +1,6 @@
 """The error model's coefficients against finite differences, and what is made of them."""
 
+import os
 import re
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from calib.assessment.sensitivity import (
 )
 from calib.foundations.errors import JobError, MeasurementError
 from calib.job.assumed_errors import read_errors
+from calib.presentation import plots
 from calib.presentation.command_tables import group_sheet, sensitivity_sentence, sensitivity_sheet
 from calib.presentation.plots import sensitivity_figure
 from calib.presentation.tables import plain, sheet_table
@@ -218,6 +220,24 @@ def test_names_are_no_formulas_and_strangers_settings_are_not_taken(
     text = (tmp_path / "s.svg").read_text()
     assert "a$_{$.offset" in text
     assert "<text" not in text
+
+
+def test_what_matplotlib_makes_can_be_removed_whatever_the_umask(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It left a folder that nobody could enter among the temporary ones, and a traceback."""
+    met = []
+
+    def loaded(_: str) -> None:
+        os.umask(mask := os.umask(0))
+        met.append(mask)
+
+    monkeypatch.setattr(plots, "import_module", loaded)
+    before = os.umask(0o777)
+    try:
+        plots.load_matplotlib()
+        after = os.umask(0o777)
+    finally:
+        os.umask(before)
+    assert (met, after) == ([0o077], 0o777)
 
 
 def test_library_loads_no_matplotlib_for_tables() -> None:

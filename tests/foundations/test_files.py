@@ -337,6 +337,14 @@ def test_write_atomically_says_why_it_cannot(tmp_path: Path) -> None:
     assert names(tmp_path) == ["folder"]
 
 
+def test_a_file_is_written_where_there_is_no_proc(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where a folder has been made the root (chroot) without it: a file without a name gets none."""
+    monkeypatch.setattr(files, "_by_number", lambda handle: f"{tmp_path}/proc/self/fd/{handle}")
+    write_new(tmp_path / "a", "new")
+    write_atomically(tmp_path / "a", "newer")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a": "newer"}
+
+
 @pytest.mark.skipif(as_root, reason="root writes anywhere")
 def test_write_atomically_in_a_read_only_folder(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)

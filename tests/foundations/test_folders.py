@@ -433,6 +433,35 @@ def test_a_place_that_is_taken_at_the_last_moment(tmp_path: Path, monkeypatch: p
     assert texts(hidden / "old") == OLD
 
 
+@pytest.mark.parametrize("old", [OLD, {}])
+@pytest.mark.parametrize(
+    ("number", "why"),
+    [
+        (errno.EBUSY, "is a mount point, which cannot be replaced; choose a folder inside"),
+        (
+            errno.EXDEV,
+            "is part of what a container was started from (a lower layer of an overlay), where folders cannot be "
+            "moved; remove it or choose another one",
+        ),
+    ],
+)
+def test_why_a_folder_cannot_be_moved_is_told(
+    number: int, why: str, old: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fill(tmp_path / "out", old)
+
+    def kept(name: str, to: str, **_: int) -> None:
+        assert "out" in (name, to)
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "rename", kept)
+    with pytest.raises(OutputError) as caught:
+        write_folder(tmp_path / "out", NEW, OURS if old else ())
+    assert str(caught.value) == f"{tmp_path / 'out'}: {why}."
+    assert texts(tmp_path / "out") == old
+    assert names(tmp_path) == ["out"]
+
+
 def _no_list(hidden: Path) -> None:
     (hidden / "list.json").unlink()
 
