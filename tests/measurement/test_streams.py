@@ -181,7 +181,7 @@ def test_marks_of_one_photograph_have_one_time(made: Streams) -> None:
     seen |= {"board_x [m]": marks[:, 0], "board_y [m]": marks[:, 1]}
     camera = calib.measuring.Camera("tip", 1400.0, 1400.0, 640.0, 512.0)
 
-    def read(clock: Literal["free", "given"]) -> calib.Measurements:
+    def read(clock: Literal["free", "given"] | Clock) -> calib.Measurements:
         return calib.measuring.read_stream(seen, made.robot, made.joints, "pixels", clock=clock, instrument=camera)
 
     data = read("given")
@@ -189,6 +189,9 @@ def test_marks_of_one_photograph_have_one_time(made: Streams) -> None:
     np.testing.assert_array_equal(data.readings[::6], data.readings[5::6])
     with pytest.raises(CalibError, match="a pixels alone does not show when it was measured"):
         read("free")
+    # A clock that is given already is no remedy.
+    with pytest.raises(CalibError, match="a free latency is found from positions and poses only; leave latency out"):
+        read(Clock("given", latency=True))
 
 
 def test_a_lag_at_which_no_row_is_known_ends_no_search(made: Streams) -> None:

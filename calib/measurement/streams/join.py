@@ -118,7 +118,7 @@ def _of_one_clock(data: Measurements, joints: JointStream, clock: Clock, robot: 
     scalars = [first.offset, first.skew]
     if clock.latency:
         near = Lag(shifts[OFFSET], shifts[SKEW])
-        found = refined(*_moving(data, joints, robot), middle, near).lag
+        found = refined(*_moving(data, joints, robot, clock), middle, near).lag
         own = float(0.5 * (data.times[0] + data.times[-1])) - middle
         shifts[LATENCY] = (found.offset - near.offset) - (found.skew - near.skew) * own
         name, size, wide = f"{clock.name}.latency", _SCALES[OFFSET], _WIDTHS[OFFSET]
@@ -143,7 +143,7 @@ def _lag(data: Measurements, stream: Stream, clock: Clock, robot: Robot) -> Lag 
     """Return where the search for a clock begins, None where nothing of it is free."""
     if clock.kind == "given" and not clock.latency:
         return None
-    seen, moved = _moving(data, stream.joints, robot)
+    seen, moved = _moving(data, stream.joints, robot, clock)
     if clock.latency:
         return refined(seen, moved, stream.middle, Lag(0.0, 0.0)).lag
     try:
@@ -164,12 +164,13 @@ def _lag(data: Measurements, stream: Stream, clock: Clock, robot: Robot) -> Lag 
     return lag
 
 
-def _moving(data: Measurements, joints: JointStream, robot: Robot) -> tuple[Seen, Moved]:
+def _moving(data: Measurements, joints: JointStream, robot: Robot, clock: Clock) -> tuple[Seen, Moved]:
     """Return what was seen, and how the nominal tip moved. Raises JobError for a kind that shows no clock."""
     if data.position is None or data.times is None:
+        what, remedy = ("latency", "leave latency out") if clock.latency else ("clock", 'write clock = "given"')
         raise JobError(
-            f"{data.where}: a {data.kind} alone does not show when it was measured, and a free clock is found from "
-            'positions and poses only; write clock = "given", or measure positions or poses.'
+            f"{data.where}: a {data.kind} alone does not show when it was measured, and a free {what} is found from "
+            f"positions and poses only; {remedy}, or measure positions or poses."
         )
     view = robot.with_tip(data.tip or robot.tip)
 
