@@ -15,8 +15,8 @@ from calib.measurement.lens import BENT, RATIONAL
 from calib.measurement.measurements import Measurements
 from calib.measurement.optics import seen_by
 
-# Fewer photographs cannot spare a fold; more do not make a better choice.
-_LEAST, _MOST = 8, 60
+# Fewer photographs cannot spare one; more do not make a better choice.
+_LEAST, _MOST = LEAST_PHOTOGRAPHS + 1, 60
 # Of the spread of all pixels: what leaves more is no board that is bent, but other marks.
 _NO_BOARD = 0.25
 

@@ -82,16 +82,17 @@ def test_a_grossly_wrong_mark_hardly_moves_the_lens() -> None:
     assert found is not None and found.optics.lens.fx == pytest.approx(TRUE["fx"], rel=4e-3)
 
 
-def test_photographs_held_out_ask_for_the_shape_that_a_board_has_and_for_no_more() -> None:
+@pytest.mark.parametrize("count", [24, 6, 4])
+def test_photographs_held_out_ask_for_the_shape_that_a_board_has_and_for_no_more(count: int) -> None:
     bent = np.array([4e-4, -2e-4, 3e-4, 1e-4, -1e-4])
     for values, wins in ((None, False), (bent, True)):
         squares = []
         for shape in ("flat", "quadratic", "free"):
-            some = photographs(shape, values=values)
+            some = photographs(shape, n=count, values=values)
             found = bundle.found_optics(some, FIVE, GUESS)
             assert found is not None
             squares.append(bundle.held_out(some, FIVE, found))
-            if shape == "quadratic" and values is not None:
+            if shape == "quadratic" and values is not None and count == 24:
                 np.testing.assert_allclose(found.optics.shape, values, atol=3e-5)
         assert bundle.clearly_better(squares[0], squares[1]) is wins
         assert not bundle.clearly_better(squares[1], squares[2])
