@@ -15,7 +15,7 @@ import pytest
 
 import calib
 from tests.proposal.twins import TWINS
-from tests.support.cases import run
+from tests.support.cases import TABLE, copy_case, edit, run
 from tests.support.machines import urdf
 from tests.support.people import UR10
 
@@ -174,3 +174,23 @@ def test_accents_of_columns_may_be_characters_of_their_own(tmp_path: Path) -> No
     assert said.code == 1
     assert r"'gro\u0308ße'" in said.err
     assert r'write in the job: columns = { "größe [deg]" = "gro\u0308ße [deg]"' in said.err
+
+
+@pytest.mark.parametrize("first", ["axis one", "joint_1 [deg]"])
+def test_columns_of_an_arm_whose_joints_a_job_couples_are_looked_for_in_all_of_it(first: str, tmp_path: Path) -> None:
+    """From its second joint on it was looked at without the coupling, and had a joint more: a traceback."""
+    job = copy_case(tmp_path)
+    edit(
+        job.name, ('tip = "probe"', 'tip = "probe"\n[[robot.coupling]]\njoint = "joint_3"\ndrivers = {joint_2 = -1.0}')
+    )(tmp_path)
+    for name in (TABLE, "validation.csv"):
+        lines = [line for line in (tmp_path / name).read_text(encoding="utf-8").splitlines() if line[0] != "#"]
+        rows = [[*line.split(",")[:2], *line.split(",")[3:]] for line in lines]
+        rows[0][0] = first
+        (tmp_path / name).write_text("\n".join(",".join(row) for row in rows) + "\n", encoding="utf-8")
+    said = run("check", job)
+    missing = (
+        "" if "[" in first else "column 'axis one' has no unit; write one in brackets, like 'axis one [mm]' or '[deg]'."
+    )
+    assert said.code == (1 if missing else 0)
+    assert missing in said.err

@@ -90,7 +90,7 @@ def _joints(seen: Seen) -> list[tuple[Chain, roles.Joints]]:
         if given and (arm is seen.arms[0] or seen.answers.tip is not None):
             named.append((arm, roles.Joints(given, 0, "as answered", True)))
             continue
-        for first in range(len(arm.joints)):
+        for first in range(len(arm.joints) if seen.has_ends else 1):
             part = arm.joints[first:]
             if named and len(part) < max(len(other.joints) for other, _ in named):
                 break
@@ -128,7 +128,7 @@ def _arms_of(seen: Seen, counts: Iterable[int]) -> list[Chain]:
         behind(seen.document, arm, len(arm.joints) - count)
         for count in families - lengths
         for arm in seen.arms
-        if len(arm.joints) > count >= _FEWEST_JOINTS and arm.joints not in cut
+        if seen.has_ends and len(arm.joints) > count >= _FEWEST_JOINTS and arm.joints not in cut
     ]
     found: list[Chain] = []
     for arm in dict.fromkeys([*whole, *ends]):

@@ -35,9 +35,13 @@ class Seen:
         self.document, self.raw, self.answers = document, raw, answers
         self.arms = chains(document, answers.tip)
         self._robots: dict[Chain, Robot] = {}
+        # Whether an arm may be one by itself from any of its joints on: not where a job has some follow others, closes
+        # loops or measures at other links, so that its readings are not those of the URDF.
+        self.has_ends = True
         if robot is not None:
             base = None if robot.base == document.root else robot.base
-            arm = Chain(base, robot.tip, tuple(reading.name for reading in robot.readings))
+            arm = Chain(base, robot.tip, _names(robot))
+            self.has_ends = _names(load_robot(document, robot.tip, base)) == arm.joints
             self.arms, self._robots = (arm,), {arm: robot}
         self.known = roles(raw) if raw.named else Roles((), (), (), (), None, frozenset())
         self.named = answers.named()
@@ -89,6 +93,10 @@ class Seen:
     def titles(self, columns: Iterable[int]) -> str:
         """Return the titles of columns, the middle of many left out."""
         return run_of([self.raw.columns[k].title for k in columns])
+
+
+def _names(robot: Robot) -> tuple[str, ...]:
+    return tuple(reading.name for reading in robot.readings)
 
 
 def _not_chosen(name: str, allowed: Sequence[str]) -> str:
