@@ -1203,3 +1203,27 @@ def test_a_joint_that_moved_little_with_the_wrong_sign_is_named(half: float) -> 
         (check,) = (check for check in found.checks if check.name == "gear")
         assert check.passed != wrong
         assert ("'wrist_3_joint' seems to be read with the wrong sign" in check.sentence) == wrong
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_of_a_joint_that_moved_in_a_row_or_two_these_may_be_wrong_and_not_its_sign(rows: int) -> None:
+    """As of a real Panda, whose third joint moved in one of twelve poses: an error of that row looked like its sign."""
+    robot = calib.load_robot("example:panda_description/urdf/panda.urdf", tip="panda_link8")
+    rng = np.random.default_rng(3)
+    read = np.array((0.0, 0.0, 0.0, -2.1, 0.0, 1.9, 0.5)) + rng.uniform(-0.5, 0.5, (12, 7))
+    read[:, 2] = 1e-4 * rng.standard_normal(12)
+    read[:rows, 2] = -0.008
+    stood = read.copy()
+    stood[:rows, 2] = 0.025
+    seen = robot.tips(stood) @ machines.pose((0.02, 0.03, 0.1))
+    R = Rotation.from_matrix(seen[:, :3, :3]) * Rotation.from_rotvec(6e-3 * rng.standard_normal((12, 3)))
+    table = {f"{reading.name} [rad]": column for reading, column in zip(robot.readings, read.T, strict=True)}
+    place = seen[:, :3, 3] + 2e-3 * rng.standard_normal((12, 3))
+    table |= dict(zip(("x [m]", "y [m]", "z [m]"), place.T, strict=True))
+    table |= dict(zip(("qx", "qy", "qz", "qw"), R.as_quat().T, strict=True))
+    data = calib.read_measurements(table, robot, "pose")
+    found = calib.assess(calib.identify(calib.error_model(robot, offsets="all", placements="all", tool="pose"), data))
+    (check,) = (check for check in found.checks if check.name == "gear")
+    assert check.sentence.startswith(
+        "'panda_joint3' seems to be read with the wrong sign, or the few rows in which it moved are wrong"
+    )

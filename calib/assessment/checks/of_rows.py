@@ -159,11 +159,21 @@ def timing(found: Timing) -> Check:
     return Check.judged("timing", value, limit, f"In time, {what}", ": read all joints at once, and unfiltered.")
 
 
+# Of a joint that moved in a row or two alone, an error of these looks like the size, or the sign, of its motion.
+_FEWEST_TELLING = 3.0
+_OR_ROWS = "or the few rows in which it moved are wrong"
+
+
 def gear(found: Mapping[str, Effect], followers: Mapping[tuple[str, str], Effect], fit: Fit, turned: str = "") -> Check:
     """Whether a joint moves by more, or less, than it says; ``followers``: than what says how it follows another.
 
     ``turned``: the joint that moves the other way, if there is one.
     """
+    if turned and _telling(fit, turned) < _FEWEST_TELLING:
+        said = (
+            f"{turned!r} seems to be read with the wrong sign, {_OR_ROWS}: with the other one less is left of the rows."
+        )
+        return Check.of("gear", abs(found[turned].value), GEAR, False, said)
     if turned:
         said = (
             f"{turned!r} seems to be read with the wrong sign: with the other one less is left of the rows. Where a "
@@ -172,7 +182,7 @@ def gear(found: Mapping[str, Effect], followers: Mapping[tuple[str, str], Effect
         return Check.of("gear", abs(found[turned].value), GEAR, False, said)
     sought = {parameter.name for parameter in fit.parameters}
     told = [
-        (one, f"{name!r}", "its reading says: is its gear ratio right")
+        (one, f"{name!r}", f"its reading says{_unless(fit, name)}: is its gear ratio right")
         for name, one in found.items()
         if f"{name}.gain" not in sought
     ]
@@ -191,6 +201,18 @@ def gear(found: Mapping[str, Effect], followers: Mapping[tuple[str, str], Effect
     more = "more" if one.value > 0.0 else "less"
     said = f"{name} seems to move by {100.0 * abs(one.value):.2g} % {more} than {what}?"
     return Check.of("gear", abs(one.value), GEAR, False, said)
+
+
+def _unless(fit: Fit, name: str) -> str:
+    return f", {_OR_ROWS}" if _telling(fit, name) < _FEWEST_TELLING else ""
+
+
+def _telling(fit: Fit, name: str) -> float:
+    """Return how many rows tell how far a joint moves: about half of those spread anywhere, one if one stands apart."""
+    k = [reading.name for reading in fit.model.robot.readings].index(name)
+    reading = np.concatenate([data.readings[:, k] for data in fit.measurements])
+    squares = (reading - np.median(reading)) ** 2
+    return float(squares.sum() ** 2 / np.sum(squares**2)) if squares.any() else 0.0
 
 
 def axes(found: Sequence[Strain]) -> Check:
