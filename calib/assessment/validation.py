@@ -33,6 +33,9 @@ from calib.measurement.poses import ONE_POSE, both_ends
 
 # Stretches of a stream, in s, and farther than any pose in units of one.
 _STRETCH, _FAR = 5.0, 1e9
+# A stretch ends so many seconds before the middle of the stream and what is whole stretches from it. Rows of an even
+# rate stand right there, and the rounding of their times would tell on which side.
+_NO_ROW = 3e-5
 
 
 # Neighbourhoods with wider gaps between them than this many times the usual distance of a pose to the next lie apart.
@@ -208,7 +211,7 @@ def _poses(data: Measurements, number: int) -> Array:
     both = np.round(both_ends(data) / ONE_POSE)
     if data.stream is not None:
         both[:, 1:] = _FAR * (1.0 + number)
-        both[:, 0] = 2.0 * np.floor(data.stream.since / _STRETCH)
+        both[:, 0] = 2.0 * np.floor((data.stream.since + _NO_ROW) / _STRETCH)
     return np.asarray(both)
 
 

@@ -15,13 +15,36 @@ _WIDEST = 2.0
 
 
 def both_ends(data: Measurements) -> Array:
-    """Return the readings (N, 2 k) at both ends of every row, where it has one that twice."""
-    return np.hstack([data.ends[0].readings, data.ends[-1].readings])
+    """Return the readings (N, 2 k) at both ends of every row, where it has one that twice.
+
+    The end with the lesser readings comes first: which one a table tells first says nothing, and is another one when
+    its rows are in another order.
+    """
+    return np.hstack(_in_order(data, [data.ends[0].readings, data.ends[-1].readings]))
+
+
+def tools_of(data: Measurements) -> IntArray:
+    """Return the number (N, 1 or 2) of the tool at each end of every row, the ends as :func:`both_ends` has them."""
+    tools = [end.tool[:, None] for end in data.ends]
+    return np.asarray(np.hstack(_in_order(data, tools)), dtype=np.intp)
 
 
 def things_of(data: Measurements) -> IntArray:
     """Return what every row is about (N, m), by numbers: its target, its set-up, and the tool at each of its ends."""
-    return np.column_stack([data.target, data.setup, *(end.tool for end in data.ends)])
+    return np.column_stack([data.target, data.setup, tools_of(data)])
+
+
+def _in_order(data: Measurements, ends: list[Array] | list[IntArray]) -> list[Array]:
+    """Return what is at both ends of rows, each (N, k), with the end first whose readings are less.
+
+    By the first joint that stands elsewhere at the other end, by more than the visits of one pose differ.
+    """
+    if len(data.ends) < 2 or not len(data):
+        return list(ends)
+    apart = data.ends[0].readings - data.ends[1].readings
+    first = np.argmax(np.abs(apart) > ONE_POSE, axis=1)
+    turned = apart[np.arange(len(data)), first][:, None] > 0.0
+    return [np.where(turned, other, own) for own, other in (ends, ends[::-1])]
 
 
 def poses_of(data: Measurements, *, pieces: bool = False) -> IntArray:

@@ -169,6 +169,18 @@ def test_what_a_validation_must_be(cell: Cell, fit: calib.Fit, rows, name: str) 
     assert name in failed(found)
 
 
+def test_gauges_of_the_fit_told_from_their_other_end_are_copies_of_it() -> None:
+    """Shuffled, half of the rows of a table of gauges have the other end first, and proved nothing in silence."""
+    world = lab()
+    own = world.pairs(60)
+    model = calib.error_model(world.robot, offsets="all", placements="all", base="fixed")
+    fit = calib.identify(model, own)
+    other = own.other
+    assert other is not None
+    turned = replace(own, readings=other.readings, other=replace(other, readings=own.readings))
+    assert failed(calib.assess(fit, turned)) >= {"copies", "held-out poses"}
+
+
 def test_errors_of_a_load_that_held_out_rows_do_not_have_are_outside_their_regions() -> None:
     """They are no larger than predicted, and in directions in which they should be far smaller."""
     cell = Cell(7)

@@ -21,7 +21,7 @@ from calib.assessment.validation import (
     some_rows,
 )
 from calib.foundations.errors import JobError, MeasurementError
-from tests.support import machines
+from tests.support import machines, streams
 from tests.support.touching import lab
 
 UR10 = ("example:ur_description/urdf/ur10_robot.urdf", "tool0")
@@ -76,6 +76,39 @@ def test_neither_the_order_of_rows_nor_of_sets_moves_a_fold() -> None:
     np.testing.assert_array_equal(folds(row_groups([whole.subset(order)]), 5), fold[order])
     parts = whole.subset(range(30, 80)), whole.subset(range(30))
     np.testing.assert_array_equal(folds(row_groups(parts), 5), np.concatenate([fold[30:], fold[:30]]))
+
+
+def ends_turned(data: calib.Measurements, rows: np.ndarray) -> calib.Measurements:
+    """The same lengths, of some rows with the other end first, as a table in another order tells them."""
+    own, other = data.ends
+    one = np.where(rows[:, None], other.readings, own.readings)
+    two = np.where(rows[:, None], own.readings, other.readings)
+    return replace(data, readings=one, other=replace(other, readings=two))
+
+
+def test_which_end_of_a_gauge_a_table_tells_first_moves_no_fold() -> None:
+    data = lab().pairs(40)
+    turned = ends_turned(data, np.random.default_rng(0).random(40) < 0.5)
+    np.testing.assert_array_equal(row_groups([turned]), row_groups([data]))
+    np.testing.assert_array_equal(calib.hold_out(turned)[1].value, calib.hold_out(data)[1].value)
+    # Touched once more from the other end, it is the same gauge at the same place.
+    both = row_groups([data, ends_turned(data, np.ones(40, dtype=np.bool_))])
+    np.testing.assert_array_equal(both[40:], both[:40])
+
+
+def test_stretches_of_an_even_stream_are_the_same_at_any_time_of_the_day() -> None:
+    """Its rows stand where stretches end, and the rounding of their times told on which side they were."""
+    data = streams.read(streams.streams(3, seconds=45.0), clock="given")
+    assert data.stream is not None
+    data = data.subset(range(1001))
+
+    def at(start: float) -> np.ndarray:
+        times = start + np.arange(1001) / 25.0
+        since = times - 0.5 * (times[0] + times[-1])
+        return row_groups([replace(data, stream=replace(data.stream, since=since))])
+
+    for start in (0.1, 1.3, 1001.7, 86400.03, 1.7e9 + 0.04):
+        np.testing.assert_array_equal(at(start), at(0.0))
 
 
 def test_folds_are_of_nearly_the_same_number_of_groups() -> None:

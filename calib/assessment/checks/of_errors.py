@@ -21,7 +21,7 @@ from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors, residual_errors, row_freedom, row_noise
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import End, Measurements
-from calib.measurement.poses import ONE_POSE, both_ends, poses_of
+from calib.measurement.poses import ONE_POSE, both_ends, poses_of, tools_of
 from calib.robot.sampling import joint_limits
 
 # Of the spread of what was measured. Poor arms leave up to half of it; what does not belong together leaves all.
@@ -347,5 +347,5 @@ def _apart(data: Measurements, names: dict[str, int]) -> Array:
     def numbers(of: Sequence[str]) -> Array:
         return np.array([names.setdefault(name, len(names)) for name in of] or [0], dtype=np.float64)
 
-    tool, target = numbers(data.tools)[data.tool], numbers(data.targets)[np.maximum(data.target, 0)]
-    return np.column_stack([both_ends(data), tool, target])
+    tools, target = numbers(data.tools)[tools_of(data)], numbers(data.targets)[np.maximum(data.target, 0)]
+    return np.column_stack([both_ends(data), tools, target])
