@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.foundations.arrays import Array, IntArray
+from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.measurement.measurements import Measurements
 
 # Readings (rad or m) that agree to within this are of one pose, visited again: servos come back to 0.1 mrad, and
@@ -20,13 +20,14 @@ def both_ends(data: Measurements) -> Array:
     The end with the lesser readings comes first: which one a table tells first says nothing, and is another one when
     its rows are in another order.
     """
-    return np.hstack(_in_order(data, [data.ends[0].readings, data.ends[-1].readings]))
+    own, other, turned = data.ends[0].readings, data.ends[-1].readings, _turned(data)
+    return np.hstack([np.where(turned, other, own), np.where(turned, own, other)])
 
 
 def tools_of(data: Measurements) -> IntArray:
-    """Return the number (N, 1 or 2) of the tool at each end of every row, the ends as :func:`both_ends` has them."""
-    tools = [end.tool[:, None] for end in data.ends]
-    return np.asarray(np.hstack(_in_order(data, tools)), dtype=np.intp)
+    """Return the number (N, 2) of the tool at both ends of every row, the ends as :func:`both_ends` has them."""
+    own, other, turned = data.ends[0].tool[:, None], data.ends[-1].tool[:, None], _turned(data)
+    return np.hstack([np.where(turned, other, own), np.where(turned, own, other)])
 
 
 def things_of(data: Measurements) -> IntArray:
@@ -34,17 +35,14 @@ def things_of(data: Measurements) -> IntArray:
     return np.column_stack([data.target, data.setup, tools_of(data)])
 
 
-def _in_order(data: Measurements, ends: list[Array] | list[IntArray]) -> list[Array]:
-    """Return what is at both ends of rows, each (N, k), with the end first whose readings are less.
+def _turned(data: Measurements) -> BoolArray:
+    """Return whether (N, 1) the other end of a row has the lesser readings.
 
-    By the first joint that stands elsewhere at the other end, by more than the visits of one pose differ.
+    By the first joint that stands elsewhere there, by more than the visits of one pose differ.
     """
-    if len(data.ends) < 2 or not len(data):
-        return list(ends)
-    apart = data.ends[0].readings - data.ends[1].readings
+    apart = data.ends[0].readings - data.ends[-1].readings
     first = np.argmax(np.abs(apart) > ONE_POSE, axis=1)
-    turned = apart[np.arange(len(data)), first][:, None] > 0.0
-    return [np.where(turned, other, own) for own, other in (ends, ends[::-1])]
+    return np.asarray(np.take_along_axis(apart, first[:, None], axis=1) > 0.0)
 
 
 def poses_of(data: Measurements, *, pieces: bool = False) -> IntArray:
