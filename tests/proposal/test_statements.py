@@ -181,6 +181,16 @@ def test_lines_of_a_program_alone_are_no_table(folder: Path, line: str, titles: 
         raw_table(Path("a.txt").read_bytes(), "a.txt")
 
 
+@pytest.mark.parametrize("mark", ["!", "#", "//", "%"])
+def test_brackets_that_a_comment_opens_join_no_statements(folder: Path, mark: str) -> None:
+    """Two statements became one in silence, and a point was lost."""
+    lines = [f"p{k} = [{k}.5, -41.4, 8.6]" for k in range(6)]
+    lines[1] += f"  {mark} left (of"
+    lines[2] += f"  {mark} the table)"
+    found = made(folder, "\n".join(lines))
+    assert [row[1] for row in found.rows] == [f"{k}.5" for k in range(6)]
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
 def test_a_program_is_read_in_each_encoding_of_a_table(folder: Path, encoding: str) -> None:
     """One that was written in Germany was refused: it was to be UTF-8."""

@@ -32,6 +32,8 @@ _DEEPEST = 16
 _MOST_TOLD = 3
 # What begins a comment in programs and logs: Python's, C's, MATLAB's, RAPID's and KRL's.
 _COMMENTS = ("#", "//", "%", "!", ";")
+# Of these, signs that begin one behind a statement as well; a semicolon may end it.
+_ONE_SIGN = ("#", "%", "!")
 _PAIRS = MappingProxyType({"]": "[", ")": "(", "}": "{"})
 # What RAPID writes for an axis that is not there.
 _NO_AXIS = 9e9
@@ -216,7 +218,7 @@ def _statements(text: str, where: str) -> Iterator[_Statement]:
     for number, line in enumerate(text.split("\n"), start=1):
         if line.lstrip().startswith(_COMMENTS):
             continue
-        for token in _tokens(line, number):
+        for token in _code(list(_tokens(line, number)), len(open_)):
             tokens.append(token)
             if token.text in _PAIRS.values():
                 open_.append(token)
@@ -229,6 +231,19 @@ def _statements(text: str, where: str) -> Iterator[_Statement]:
             tokens = []
     if open_:
         raise MeasurementError(f"{where}:{open_[0].line}: a bracket {open_[0].text} is opened and not closed.")
+
+
+def _code(tokens: Sequence[_Token], depth: int) -> Sequence[_Token]:
+    """Return the tokens of a line without a comment whose brackets are no pairs: ``[1, 2]; ! left (of``.
+
+    ``depth``: of the brackets in which the line begins. What may close one of them is no comment.
+    """
+    texts = [token.text for token in tokens]
+    steps = [(text in _PAIRS.values()) - (text in _PAIRS) for text in texts]
+    marks = (k for k, text in enumerate(texts) if text in _ONE_SIGN or texts[k : k + 2] == ["/", "/"])
+    at = next(marks, len(texts))
+    opened = sum(steps[at:])
+    return tokens[:at] if opened > 0 or (opened < 0 and depth + sum(steps[:at]) <= 0) else tokens
 
 
 def _without_comment(tokens: Sequence[_Token]) -> tuple[_Token, ...]:
