@@ -43,6 +43,8 @@ _NAMES: Mapping[str, str] = {
 # The patent asks for more than 30 deg; below 60 deg and 100 mm the table is known ten times worse than its points.
 _SMALL_TURN = 60.0 * DEG
 _SMALL_RADIUS = 0.1
+# What is short of these by less than their digits show, or than noise, is as large.
+_SHOWN = 1e-3
 # Height of the triangle over its longest side: +-30 deg have 0.13.
 _THIN = 0.1
 _DEGENERATE = 1e-9
@@ -261,14 +263,14 @@ def _doubts(
     expected = expected_circle_error(radius, [0.0, turns[0], -turns[1]], sigma) / DEG
     so = f"with {sigma / MM:.3g} mm per coordinate its direction is expected to be {expected:.2g} deg off."
     smallest = min(turns)
-    if smallest < _SMALL_TURN - _SIGMAS * sigma / radius - _DEGENERATE:
+    if smallest < (1.0 - _SHOWN) * _SMALL_TURN - _SIGMAS * sigma / radius:
         yield Finding(
             "warning",
             "small-turn",
             f"{names[int(turns[1] < turns[0])]} is turned by only {smallest / DEG:.3g} deg about the {axis} axis, and "
             f"60 or more are advised; {so}",
         )
-    if radius < _SMALL_RADIUS:
+    if radius < (1.0 - _SHOWN) * _SMALL_RADIUS - _SIGMAS * sigma:
         yield Finding(
             "warning",
             "small-radius",
