@@ -20,6 +20,8 @@ from calib.measurement.table import QUATERNION_COLUMNS
 
 _FOLLOWS_ANGLE, _ALIKE_ANGLE = 0.2, 0.015
 _SAME_ANGLE = 1e-6
+# Poses that are tried the other way round: each in all conventions.
+_MOST_INVERTED = 60
 
 
 class _Way(NamedTuple):
@@ -85,7 +87,8 @@ def orientation_of(seen: Seen, best: Trial) -> tuple[str | None, tuple[int, ...]
 
 def inverse_question(seen: Seen, trials: Sequence[Trial]) -> AskedError | None:
     """Return a question where the arm follows the inverse of poses: of a board, say, as a camera on the arm sees it."""
-    found = [(*_inverse_fit(seen, trial, one), trial, one) for trial in trials for one in trial.pick.turned]
+    pairs = [(trial, one) for trial in trials for one in trial.pick.turned][:_MOST_INVERTED]
+    found = [(*_inverse_fit(seen, trial, one), trial, one) for trial, one in pairs]
     if not found:
         return None
     share, miss, trial, turned = min(found, key=lambda one: one[0])
