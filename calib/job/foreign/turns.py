@@ -20,8 +20,8 @@ from calib.measurement.table import QUATERNION_COLUMNS
 
 _FOLLOWS_ANGLE, _ALIKE_ANGLE = 0.2, 0.015
 _SAME_ANGLE = 1e-6
-# Poses that are tried the other way round: each in all conventions.
-_MOST_INVERTED = 60
+# Poses that are tried the other way round, each in all conventions, and the rows that tell.
+_MOST_INVERTED, _MOST_ROWS = 36, 40
 
 
 class _Way(NamedTuple):
@@ -110,12 +110,14 @@ def _inverse_fit(seen: Seen, trial: Trial, one: Orientation) -> tuple[float, flo
     By what angle rows turn against each other tells most conventions apart, whatever base and tool are.
     """
     own = [seen.raw.columns[k] for k in one.columns]
-    numbers = np.column_stack([values_of(column) for column in own])[trial.rows]
-    if len(trial.rows) < FEWEST_ROWS or not np.isfinite(numbers).all():
+    few = np.linspace(0, len(trial.rows) - 1, min(len(trial.rows), _MOST_ROWS)).astype(np.intp)
+    numbers = np.column_stack([values_of(column) for column in own])[trial.rows[few]]
+    if len(few) < FEWEST_ROWS or not np.isfinite(numbers).all():
         return np.inf, np.inf
-    by_arm = _between_rows(trial.tips[:, :3, :3])
+    tips, position = trial.tips[few], trial.position[few]
+    by_arm = _between_rows(tips[:, :3, :3])
     fits = [
-        followed(trial.tips, -np.einsum("nji,nj->ni", R, trial.position))
+        followed(tips, -np.einsum("nji,nj->ni", R, position))
         for _, _, _, R in _rotations(seen, one, own, numbers)
         if np.sqrt(np.mean((_between_rows(R) - by_arm) ** 2)) < _FOLLOWS_ANGLE
     ]
