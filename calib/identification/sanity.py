@@ -15,7 +15,7 @@ Photographs of a board are taken for the poses that they show (:mod:`calib.ident
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
+from itertools import combinations, islice, pairwise
 from typing import Literal
 
 import numpy as np
@@ -76,6 +76,8 @@ _EVALUATIONS, _EVALUATIONS_UNSEEN = 4, 16
 _HARDLY = 1e-3
 _PROMISING = 8
 _LISTED = 3
+# Set-ups that are missed and in which a mistake is sought: a hundred whose rows are noise took half a minute.
+_MOST_SOUGHT = 10
 
 _NEGLIGIBLE = 1e-10
 # Numbers in tables are not written finer; what leaves less explains all.
@@ -115,7 +117,8 @@ class _Trial:
 def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Finding, ...]:
     """Return the typical mistake that explains why the nominal robot misses the measurements; usually nothing.
 
-    A mistake is sought in all sets together, then in every single one, and in the rows of one set-up after the other.
+    A mistake is sought in all sets together, then in every single one, and in the rows of one set-up after the other,
+    until the robot has missed ten of them.
     An error names it, and what explains the rows as well; a warning says that the robot misses them by far and no
     typical mistake explains it. Too few rows to judge give nothing. Raises MeasurementError when the measurements are
     not of this robot.
@@ -129,13 +132,12 @@ def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple
             model, placed, camera_on = poses_seen(model, [data for data in measurements if len(data)])
         sets = [data.at_readings() for data in placed or touched]
         setups = dict.fromkeys(setup for data in sets for setup in data.setups)
-        return tuple(
-            finding
+        sought = (
+            _signatures(model.at(setup), [data.loaded(model.urdf_robot).at(setup) for data in sets], camera_on)
             for setup in setups
-            for finding in _signatures(
-                model.at(setup), [data.loaded(model.urdf_robot).at(setup) for data in sets], camera_on
-            )
         )
+        missed = islice((found for found in sought if found is not None), _MOST_SOUGHT)
+        return tuple(finding for found in missed for finding in found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,19 +180,22 @@ def apart(model: ErrorModel, measurements: Sequence[Measurements]) -> Apart | No
         return Apart(_OF_TABLES[best.mistake.code], missed, best.miss)
 
 
-def _signatures(model: ErrorModel, sets: Sequence[Measurements], camera_on: CameraPlace | None) -> tuple[Finding, ...]:
+def _signatures(
+    model: ErrorModel, sets: Sequence[Measurements], camera_on: CameraPlace | None
+) -> tuple[Finding, ...] | None:
+    """Return the mistake in the rows of one set-up; None where they are too few, or near where they should be."""
     filled = [data for data in sets if len(data)]
     if not filled:
-        return ()
+        return None
     sets = tuple(_spread_rows(data, filled) for data in with_common_names(model, filled))
     problem, reach = _problem(_ordinary(model), sets), model.robot.reach
     if sum(data.sigma.size for data in sets) < _NUMBERS_PER_UNKNOWN * len(problem.parameters):
-        return ()
+        return None
     missed = _missed(problem)
     # One number of a row, such as a length, shows a third of the square of an error in space.
     shown = min(3.0, sum(data.sigma.size for data in sets) / sum(map(len, sets))) / 3.0
     if missed < _GOOD * reach * float(np.sqrt(shown)):
-        return ()
+        return None
     if camera_on and (found := strays(model, sets)) is not None:
         return (_contradicted(sets, found),)
     every = tuple(range(len(sets)))
