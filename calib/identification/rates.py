@@ -117,7 +117,10 @@ class Rates:
         if observed.target is not None:
             self._of_targets.add(observed.target.transpose(2, 1, 0), target, J.transpose(1, 0, 2))
         for role, by_scalar in observed.scalars.items():
-            J += by_scalar[:, :, None] * self._selection.of_scalars[data.uses[role]]
+            # Hardly any parameter moves a scalar, and a board of free shape has hundreds of these.
+            by = self._selection.of_scalars[data.uses[role]]
+            for k in np.flatnonzero(by):
+                J[:, :, k] += by_scalar * by[k]
 
     def blocks(self, data: Measurements) -> Iterator[Block]:
         """Yield the rows of one set, block by block; of touches J is that where the tool is at its target."""
