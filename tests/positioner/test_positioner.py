@@ -173,8 +173,8 @@ def test_doubtful_circles_are_told_with_the_expected_error() -> None:
 @pytest.mark.parametrize("short", [0.0, 0.0005, 0.003])
 def test_a_mark_as_far_from_an_axis_as_advised_is_not_told(short: float) -> None:
     """Noise and rounded digits put it nearer: "only 100 mm from the rotary axis, and 100 or more are advised"."""
-    for radius, turn in ((0.1 * (1.0 - short), 60.0), (0.3, 60.0 * (1.0 - 0.1 * short))):
-        P = points((turn, turn), (turn, turn), mark=np.array([radius, 0.0, 0.15]))
+    for radius, angle in ((0.1 * (1.0 - short), 60.0), (0.3, 60.0 * (1.0 - 0.1 * short))):
+        P = points((angle, angle), (angle, angle), mark=np.array([radius, 0.0, 0.15]))
         assert positioner.five_point(*P).findings == ()
 
 
