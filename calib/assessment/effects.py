@@ -445,7 +445,8 @@ def strains(parts: Sequence[Stretch], C: Array) -> tuple[Strain, ...]:
         variance = _scatter(rest, part)
         lengths = np.linalg.eigvalsh(np.einsum("sij,s->ij", _STRAINS, score.sizes))
         size = float(np.sqrt(float(score.gain) / variance / len(rows)))
-        found.append(Strain(part.data.where, float(np.ptp(lengths)), size, _chance(score, rest, part)))
+        chance = min(1.0, len(parts) * _chance(score, rest, part))
+        found.append(Strain(part.data.where, float(np.ptp(lengths)), size, chance))
     return tuple(sorted(found, key=lambda one: (-one.share, one.file)))
 
 
@@ -466,18 +467,29 @@ def _scatter(rest: Array, part: Stretch, taken: int = 0) -> float:
     return max(float(np.sum(rest**2)) / max(rest.size - part.used - taken, 1.0), part.least)
 
 
-def _chance(found: Score, rest: Array, part: Stretch) -> float:
+def _chance(found: Score, rest: Array, part: Stretch, along: Array | None = None) -> float:
     """Return how probable a gain is, against what remains (n, d), of rows that remember each other: by F.
 
-    Of what remains, parameters take up some numbers and the directions some more; 1 where they leave none.
+    Of what remains, parameters take up some numbers and the directions some more; 1 where they leave none. ``along``
+    (n, d): what the effect does to rows that have it, where what remains is judged by what it is in that direction.
     """
     numbers = int(found.numbers)
     freedom = rest.size - part.used - numbers
     if numbers < 1 or freedom < 1.0:
         return 1.0
-    inflation = 1.0 + 2.0 * memory([rest])
-    square = float(found.gain) / _scatter(rest, part, numbers) / inflation
-    return float(exceeded(square, numbers, max(freedom / inflation, 1.0)))
+    variance, inflation = _scatter(rest, part, numbers), 1.0 + 2.0 * memory([rest])
+    more = inflation if along is None else inflation * _more_along(rest, along, variance)
+    return float(exceeded(float(found.gain) / variance / more, numbers, max(freedom / inflation, 1.0)))
+
+
+def _more_along(rest: Array, along: Array, variance: float) -> float:
+    """Return how many times the variance of all numbers that of what remains is ``along`` a motion (n, d), at least 1.
+
+    What a model leaves out of a joint turns that joint: it is all in one direction of a row, and largest in the rows
+    that a turn moves most. Of the mean over three rows it makes far more than as much noise in all directions.
+    """
+    weights = float(np.sum(along**2)) * variance
+    return max(float(np.sum(np.sum(along * rest, axis=1) ** 2)) / weights, 1.0) if weights > 0.0 else 1.0
 
 
 def steps(parts: Sequence[Stretch], C: Array) -> tuple[Step, ...]:
@@ -495,12 +507,13 @@ def _of_each(
     """Yield what is found ``of`` each thing in each part, by a fit that had sought its motions of all rows too.
 
     Of several parts, also those of the part alone: what differs from table to table is no change in the course of one.
+    Each thing in each part is one that may be found by chance.
     """
     for what, motions in things:
         within, known = _besides(parts, motions, C)
         for part, Z in zip(within, motions, strict=True):
             (alone,), own = _besides([part], [Z], known) if len(parts) > 1 else ((part,), known)
-            one = of(what, alone, Z, own, len(things))
+            one = of(what, alone, Z, own, len(things) * len(parts))
             if one is not None:
                 yield one
 
@@ -604,7 +617,7 @@ def _step_of(what: str, part: Stretch, Z: Array, C: Array, things: int) -> Step 
     smooth = part.data.position is not None and part.used < _LITTLE * part.r.size and memory([part.r]) > _SMOOTH
     if smooth and not _at_once(part.r, Z @ score.sizes, place, int(np.diff(places).max(initial=1))):
         return None
-    chance = min(1.0, _chance(score, rest, part) * len(places) * things)
+    chance = min(1.0, _chance(score, rest, part, Z @ score.sizes) * len(places) * things)
     # The rows were thinned, maybe: their numbers are those of the whole set.
     line = int(part.data.lines[int(part.row[place - 1])])
     return Step(what, part.data.where, line, size, chance, _parted(part, place), part.data.kind == "pixels")

@@ -508,6 +508,34 @@ def test_a_small_jump_in_thirty_rows_is_found() -> None:
         assert worst.size > of_rows.SIZE
 
 
+@pytest.mark.parametrize("tables", [1, 4])
+@pytest.mark.parametrize("seed", [1013, 1019, 1027, 1038])
+def test_rows_in_several_tables_jump_no_more_often_than_in_one(seed: int, tables: int) -> None:
+    """Of gears that wobble, as nobody modelled, three rows at an end of a table seemed to be a change."""
+    cell = Cell(seed)
+    q = cell.draw(60)
+    amplitude, phase = cell.rng.normal(0.0, 4e-4, (2, 6)), cell.rng.uniform(0.0, 6.0, 6)
+    whole = cell.measured(q + amplitude[0] * np.cos(2.0 * q + phase) + amplitude[1] * np.sin(q), q, sigma=2e-5)
+    residue = Residue.of(
+        calib.identify(cell.model, [whole.subset(rows) for rows in np.array_split(np.arange(60), tables)]), {}
+    )
+    found = steps(stretches(residue), residue.C)
+    assert all(step.chance > of_rows.RARELY for step in found if step.size > of_rows.SIZE)
+
+
+def test_a_jump_in_one_of_several_tables_is_found() -> None:
+    for seed in range(4):
+        cell = Cell(seed)
+        data = cell.measured(cell.draw(80))
+        moved = data.position + np.where((np.arange(80) >= 48) & (np.arange(80) < 60), 1e-3, 0.0)[:, None]
+        parts = [replace(data, position=moved).subset(rows) for rows in np.array_split(np.arange(80), 4)]
+        residue = Residue.of(calib.identify(cell.model, parts), {})
+        worst = min(steps(stretches(residue), residue.C), key=lambda step: step.chance)
+        assert (worst.what, worst.line) == ("base", data.lines[47])
+        assert worst.chance < of_rows.RARELY
+        assert worst.size > of_rows.SIZE
+
+
 def test_what_is_elsewhere_in_all_rows_has_not_jumped(cell: Cell) -> None:
     # Zeros that the fit does not seek are off throughout: of a step that leaves out three rows that is nearly all.
     few = calib.error_model(cell.robot)
@@ -650,6 +678,27 @@ def test_few_lengths_of_each_anchor_have_no_outliers() -> None:
     assert found.sentence.endswith(
         ": they are wrong, or the arm does there what the model leaves out; look at them before any is removed."
     )
+
+
+def test_a_few_rows_are_as_far_off_in_several_tables_as_in_one(cell: Cell) -> None:
+    """Two of sixty rows are sound; they are as sound where the sixty are four tables, and both are in one of them."""
+    whole = cell.measured(cell.draw(60))
+
+    def judged(tables: int, far: int) -> Check:
+        fit = calib.identify(cell.model, [whole.subset(rows) for rows in np.array_split(np.arange(60), tables)])
+        sets = [
+            JudgedSet("identification", d.where, d, r, r.copy())
+            for d, r in zip(fit.measurements, fit.residuals, strict=True)
+        ]
+        sets[-1].after[-far:] += 2e-3
+        return of_rows.outliers(fit, sets)
+
+    assert judged(1, 2).passed
+    assert judged(4, 2).passed
+    # Four of all rows are too many, also where they are in one table; so are those of one table among sound ones.
+    assert not judged(1, 4).passed
+    assert not judged(4, 4).passed
+    assert judged(4, 2).statistic == pytest.approx(2 / 60)
 
 
 def test_rounded_readings_count_where_they_are_what_remains(cell: Cell) -> None:
