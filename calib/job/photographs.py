@@ -15,14 +15,14 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.files import sentences
-from calib.foundations.units import MM
+from calib.foundations.units import MM, NUMBER
 from calib.foundations.words import listed, noun, shown
 from calib.job.chains import chains, whole_chains
 from calib.job.flange_poses import LEAST, Seen, orientation_of, refuse_mistakes, shown_by, way_up
 from calib.job.read import read_board
 from calib.job.toml_text import toml_text
 from calib.machine.calibrated import CalibratedMachine
-from calib.measurement.columns import KNOWN, POSITION, filled, orientations, stacked
+from calib.measurement.columns import BOARD, KNOWN, PIXELS, POSITION, filled, orientations, stacked
 from calib.measurement.formats.images import (
     ENDINGS,
     LEAST_CORNERS,
@@ -41,7 +41,17 @@ from calib.measurement.orientations import ANGLES, MATRIX
 from calib.measurement.prints import Print
 from calib.measurement.raw import split_title
 from calib.measurement.roles import matrices
-from calib.measurement.table import APPROACH, TORQUE, UNITLESS, Columns, Table, holds_words, no_unit, read_table
+from calib.measurement.table import (
+    APPROACH,
+    QUATERNION_COLUMNS,
+    TORQUE,
+    UNITLESS,
+    Columns,
+    Table,
+    holds_words,
+    no_unit,
+    read_table,
+)
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import read_urdf
@@ -60,6 +70,8 @@ _TURNED = {"qw", "rx", "r11"}
 _OF_BOARD = "the board looks the same upside down, and which way up it is here"
 _CONTRADICTS = f"{_OF_BOARD} is not known: its readings contradict those of other photographs"
 _EITHER = f"{_OF_BOARD} its readings do not tell clearly"
+# What the table of pixels says of marks, so that no column of the readings is taken over under one of these names.
+_WRITTEN = frozenset(("group", *PIXELS, *BOARD, "sigma"))
 _MARKS = ("u [px]", "v [px]", "board_x [mm]", "board_y [mm]", "board_z [mm]", "sigma [px]")
 
 
@@ -253,10 +265,10 @@ def import_photographs(
         told = _told(used, named, given, print_, size)
     if given.table is None:
         titles, rows = given.titles, list(given.rows)
-        poses = None if told is None or robot is None else _nominal(readings, robot)
+        poses = None if told is None or robot is None else _nominal(given, robot)
     else:
         titles, rows, own, made, poses = _of_flange(given, given.table, robot, told, camera_on)
-        given = given._replace(remarks=own)
+        given = given._replace(remarks=(*own, *given.remarks))
     if print_.half_turn is not None:
         photographs, turned = _one_way_up(photographs, named, given, told, poses, print_)
         remarks += (turned,)
@@ -341,49 +353,89 @@ def _given(path: Path, robot: Robot | None, orientation: str | None) -> _Given:
         raise MeasurementError(f"{path}: there is no column {IMAGE!r}; the columns are {', '.join(map(repr, names))}.")
     images = tuple(_images(sheet, names.index(IMAGE)))
     own, said = [k for k, name in enumerate(names) if name != IMAGE], f"{path} has readings of the joints"
-    columns = _of_poses(names, orientation)
+    columns = _of_poses(sheet, orientation)
+    joints = [] if robot is None else [reading.name for reading in robot.readings]
+    if columns is not None and not (joints and set(joints) <= set(names)):
+        table = read_table(path, replace(columns, orientation=None))
+        if columns.orientation is not None or not set(ANGLES) <= set(names):
+            _poses(path, columns)
+        remarks = tuple(f"{path}: {said}" for said in _not_read(columns.ignore))
+        return _Given(path, images, (), (), remarks, table, columns)
     if columns is not None:
-        joints = [] if robot is None else [reading.name for reading in robot.readings]
-        if not joints or not set(joints) <= set(names):
-            table = read_table(path, replace(columns, orientation=None))
-            if columns.orientation is not None or not set(ANGLES) <= set(names):
-                _poses(path, columns)
-            return _Given(path, images, (), (), (), table, columns)
         own = [k for k in own if names[k] in joints]
         said += ", which are taken; its poses of the flange are not needed"
     elif robot is not None:
-        own, left = _own_columns(sheet, own, robot)
-        said += f"; {listed(left)} {noun(len(left), 'is', 'are')} not read" if left else ""
+        told = {f"{what}{joint}" for what in ("", APPROACH, TORQUE) for joint in joints}
+        own = [k for k in own if names[k] in told | KNOWN - _WRITTEN]
+    else:
+        own = [k for k in own if names[k] not in _WRITTEN]
+    left = tuple(sheet.titles[k] for k in range(len(names)) if k not in own and names[k] != IMAGE)
+    if robot is not None:
+        _refuse_unreadable(sheet, own, robot)
+    if columns is None:
+        said = "; ".join((said, *_not_read(left)))
     rows = tuple(tuple(row[k] for k in own) for row in sheet.rows)
-    return _Given(path, images, tuple(sheet.titles[k] for k in own), rows, (said,), None, Columns({"group": IMAGE}))
+    as_read = Columns({"group": IMAGE}, ignore=left)
+    return _Given(path, images, tuple(sheet.titles[k] for k in own), rows, (said,), None, as_read)
 
 
-def _of_poses(names: Sequence[str], orientation: str | None) -> Columns | None:
-    """Return how columns are read that state poses of the flange, one matrix in cells such as ``T_0_3`` among them."""
+def _not_read(titles: Sequence[str]) -> tuple[str, ...]:
+    """Return what is said of columns of a table that are not read, nothing where there are none."""
+    return (f"{listed(titles)} {noun(len(titles), 'is', 'are')} not read",) if titles else ()
+
+
+def _of_poses(sheet: Sheet, orientation: str | None) -> Columns | None:
+    """Return how columns are read that state poses of the flange, one matrix in cells such as ``T_0_3`` among them.
+
+    All others are passed over. Raises MeasurementError where cells of a matrix have no unit, or a wrong one.
+    """
+    names = sheet.names
     if set(POSITION) <= set(names) and _TURNED & set(names):
         matrix = "r11" in names and not {"qw", "rx"} & set(names)
-        return Columns({"group": IMAGE}, orientation=orientation or ("matrix" if matrix else None))
-    found = [(nine, point) for nine, point in matrices(names, range(len(names))) if point is not None]
-    if len(found) != 1:
-        return None
-    nine, point = found[0]
-    cells = [names[k] for k in (*nine.columns, *point.columns)]
-    own = dict(zip((*MATRIX, *POSITION), cells, strict=True))
-    others = tuple(name for name in names if name not in (IMAGE, *cells))
-    return Columns({"group": IMAGE, **own}, ignore=others, orientation=orientation or "matrix")
+        known, own = {IMAGE, *POSITION, *QUATERNION_COLUMNS, *ANGLES, *MATRIX}, {}
+    else:
+        found = [(nine, point) for nine, point in matrices(names, range(len(names))) if point is not None]
+        if len(found) != 1:
+            return None
+        (nine, point), matrix = found[0], True
+        if unitless := [names[k] for k in point.columns if split_title(sheet.titles[k])[1] is None]:
+            raise MeasurementError(
+                f"{sheet.where}: {listed(unitless)} {noun(len(unitless), 'has', 'have')} no unit; write one in "
+                f"brackets, like '{unitless[0]} [mm]'."
+            )
+        for k in nine.columns:
+            if split_title(sheet.titles[k])[1] not in (None, "1"):
+                raise MeasurementError(f"{sheet.where}: column {sheet.titles[k]!r} is of a rotation, and has no unit.")
+        cells = [names[k] for k in (*nine.columns, *point.columns)]
+        known, own = {IMAGE, *cells}, dict(zip((*MATRIX, *POSITION), cells, strict=True))
+    others = tuple(title for title, name in zip(sheet.titles, names, strict=True) if name not in known)
+    return Columns({"group": IMAGE, **own}, ignore=others, orientation=orientation or ("matrix" if matrix else None))
 
 
-def _own_columns(sheet: Sheet, columns: Sequence[int], robot: Robot) -> tuple[list[int], list[str]]:
-    """Return the columns that a job reads of a table of pixels, and the titles of the others, which it would refuse.
+def _refuse_unreadable(sheet: Sheet, own: Sequence[int], robot: Robot) -> None:
+    """Raise MeasurementError where a job could not read its ``own`` columns of a table of the robot's joints.
 
-    Raises MeasurementError where one has no unit: the job would not say so before all photographs have been searched.
+    The job would not say so before all photographs have been searched.
     """
-    told = {f"{what}{reading.name}" for what in ("", APPROACH, TORQUE) for reading in robot.readings}
-    own = [k for k in columns if sheet.names[k] in told | KNOWN]
-    names = [sheet.names[k] for k in own if split_title(sheet.titles[k])[1] is None]
-    if unitless := [name for name in names if not (holds_words(name) or name in UNITLESS)]:
+    names, needed = [sheet.names[k] for k in own], robot.driving((robot.tip,))
+    joints = [reading.name for reading in robot.readings if reading.name in needed]
+    if missing := [joint for joint in joints if joint not in names]:
+        raise MeasurementError(
+            f"{sheet.where}: there is no column {', '.join(map(repr, missing))} of a joint, and no pose of the flange "
+            f"is found in each row; the columns are {', '.join(map(repr, sheet.names))}."
+        )
+    if twice := next((name for name, count in Counter(names).items() if count > 1), None):
+        raise MeasurementError(f"{sheet.where}: column {twice!r} appears more than once.")
+    unitless = [sheet.names[k] for k in own if split_title(sheet.titles[k])[1] is None]
+    if unitless := [name for name in unitless if not (holds_words(name) or name in UNITLESS)]:
         raise MeasurementError(f"{sheet.where}: {no_unit(unitless)}.")
-    return own, [sheet.titles[k] for k in columns if k not in own]
+    of_joints = [(k, sheet.names[k]) for k in own if sheet.names[k] in joints]
+    images = sheet.names.index(IMAGE)
+    for row in sheet.rows:
+        for k, joint in of_joints:
+            if NUMBER.fullmatch(row[k].strip().replace(",", ".")) is None:
+                at = f"{sheet.where}: the row of {shown(row[images])}: column {joint!r}"
+                raise MeasurementError(f"{at}: {shown(row[k])} is not a number.")
 
 
 def _poses(path: Path, columns: Columns) -> Array:
@@ -400,9 +452,9 @@ def _told(
     return shown_by(shown, own, size, print_.half_turn)
 
 
-def _nominal(path: Path, robot: Robot) -> Array:
+def _nominal(given: _Given, robot: Robot) -> Array:
     """Return where the tip of a nominal robot is (N, 4, 4) by the readings of a table."""
-    table = read_table(path, Columns({"group": IMAGE}))
+    table = read_table(given.path, given.columns)
     return _machine(robot).tips(filled(table, {reading.name: reading.dimension for reading in robot.readings}))
 
 

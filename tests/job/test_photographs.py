@@ -21,6 +21,7 @@ from tests.support.photographs import small_session  # noqa: E402
 
 UR5 = simulation.UR5
 SEED, IMAGES = 3, 10
+JOINTS = [f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]
 
 
 @pytest.fixture(scope="module")
@@ -419,6 +420,83 @@ def test_columns_that_no_job_reads_are_left_out_of_the_table_of_pixels(folder: P
     with (folder / "marks.csv").open() as file:
         assert not {"note", "width [mm]"} & set(next(csv.reader(file)))
     assert run("check", folder / "marks.toml").code == 0
+
+
+def test_columns_that_the_table_of_pixels_has_itself_are_left_out(folder: Path) -> None:
+    """Else the job beside it found two columns of a name."""
+    head, *rows = (folder / "readings.csv").read_text().splitlines()
+    (folder / "readings.csv").write_text(
+        "\n".join([f"{head},group,sigma [mm],u [px]", *(f"{row},a,0.1,7" for row in rows), ""])
+    )
+    said = imported(folder, "readings.csv", "--robot", UR5)
+    assert "'group', 'sigma [mm]', 'u [px]' are not read." in said.out.replace("\n", " ")
+    assert run("check", folder / "marks.toml").code == 0
+
+
+def of_numbers(folder: Path) -> None:
+    text = (folder / "readings.csv").read_text()
+    for k, joint in enumerate(JOINTS):
+        text = text.replace(f"{joint} [rad]", f"q{k + 1} [rad]")
+    (folder / "readings.csv").write_text(text)
+
+
+def emptied_cell(folder: Path) -> None:
+    lines = (folder / "readings.csv").read_text().splitlines()
+    lines[3] = ",".join(["image_002.png", "", *lines[3].split(",")[2:]])
+    (folder / "readings.csv").write_text("\n".join(lines) + "\n")
+
+
+def said_twice(folder: Path) -> None:
+    lines = (folder / "readings.csv").read_text().splitlines()
+    (folder / "readings.csv").write_text("\n".join(f"{line},{line.split(',')[1]}" for line in lines) + "\n")
+
+
+def of_two_matrices(folder: Path) -> None:
+    titles = " ".join(f"{called}_{i}_{j}" for called in ("flange", "board") for i, j in np.ndindex(3, 4))
+    rows = [[image, *np.eye(3, 4).ravel(), *np.eye(3, 4).ravel()] for image, _, _ in turned(folder)]
+    written(folder, titles, rows)
+    (folder / "other.csv").replace(folder / "readings.csv")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        (of_numbers, "there is no column 'shoulder_pan_joint', 'shoulder_lift_joint', "),
+        (of_two_matrices, "and no pose of the flange is found in each row; the columns are 'image', 'flange_0_0', "),
+        (emptied_cell, "readings.csv: the row of 'image_002.png': column 'shoulder_pan_joint': '' is not a number."),
+        (said_twice, "readings.csv: column 'shoulder_pan_joint' appears more than once."),
+    ],
+)
+def test_readings_that_no_job_could_read_are_told_before_photographs_are_searched(folder: Path, wrong, says) -> None:
+    """Readings of no joint of the robot were taken for such, and the job beside the table of pixels was of no use."""
+    wrong(folder)
+    code, out, err = imported(folder, "readings.csv", "--robot", UR5)
+    assert (code, out) == (1, "")
+    assert says in err.replace("\n", " ")
+    assert not (folder / "marks.csv").exists()
+
+
+def test_what_stands_beside_poses_of_the_flange_is_not_read_and_named(folder: Path) -> None:
+    head, *rows = (folder / "flange.csv").read_text().splitlines()
+    (folder / "flange.csv").write_text("\n".join([f"{head},note,speed", *(f"{row},warm,12" for row in rows), ""]))
+    said = imported(folder, "flange.csv", "--robot", UR5)
+    assert (said.code, said.err) == (0, "")
+    assert "flange.csv: 'note', 'speed' are not read." in said.out.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("of_place", "of_rotation", "says"),
+    [
+        ("", "", "'T_0_3', 'T_1_3', 'T_2_3' have no unit; write one in brackets, like 'T_0_3 [mm]'."),
+        ("[mm]", "[mm]", "column 'T_0_0[mm]' is of a rotation, and has no unit."),
+    ],
+)
+def test_units_of_a_matrix_are_told_by_the_names_of_its_cells(folder: Path, of_place, of_rotation, says) -> None:
+    titles = " ".join(f"T_{i}_{j}{of_place if j == 3 else of_rotation}" for i, j in np.ndindex(3, 4))
+    table = written(folder, titles, [[image, *np.eye(3, 4).ravel()] for image, _, _ in turned(folder)])
+    said = imported(folder, table)
+    assert said.code == 1
+    assert says in said.err.replace("\n", " ")
 
 
 def test_a_pose_that_the_arm_does_not_reach_is_named(folder: Path) -> None:
