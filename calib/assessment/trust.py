@@ -35,6 +35,7 @@ from calib.assessment.outliers import Outliers, outliers
 from calib.assessment.own_base import OwnBase, tables_with_own_base
 from calib.assessment.places import unshown
 from calib.assessment.priors import HARMLESS, contradicted
+from calib.assessment.stamps import stamps
 from calib.assessment.stretches import by_photograph, pose_by_pose, stretches
 from calib.foundations.chance import exceeded
 from calib.foundations.linear import one_thread
@@ -125,9 +126,10 @@ def verdict(
             of_arm.lens(fit),
             of_arm.warnings((*findings, *priors)),
         )
+        inexact = stamps(parts, fit.machine.frames.scalars)
         alone = unchecked(residue, "tool")
     harmless = (one.sentence for one in priors if one.code == HARMLESS)
-    shown = (*shown_range(fit, own, held_out), *unshown(fit), *harmless)
+    shown = (*shown_range(fit, own, held_out), *unshown(fit), *harmless, *(one.sentence for one in inexact))
     if alone:
         which = f"the {noun(len(alone), 'tool')} {listed(alone)}"
         shown = (
@@ -135,7 +137,8 @@ def verdict(
             f"As many numbers were measured with {which} as it has unknowns, so nothing checks them: a mistake in "
             "one of them is in the tool. Measure one more pose with it.",
         )
-    return Verdict(told, shown)
+    checks = tuple(inexact[0].named_in(check) for check in told) if inexact else told
+    return Verdict(checks, shown)
 
 
 def with_cause(found: Verdict, fit: Fit, sets: Sequence[JudgedSet]) -> Verdict:

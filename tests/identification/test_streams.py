@@ -9,6 +9,8 @@ import calib
 from calib.assessment.checks import of_rows
 from calib.assessment.effects import delay
 from calib.assessment.influence import Residue
+from calib.assessment.judged import Check
+from calib.assessment.stamps import stamps, step_of
 from calib.assessment.stretches import Stretch, stretches
 from calib.identification import system
 from calib.identification.initialisation.problem import initial_problem
@@ -197,6 +199,58 @@ def test_a_clock_that_was_given_wrongly_is_told_in_milliseconds(late: float) -> 
         made.seen, made.robot, made.joints, clock=Clock("given", latency=True), sigma=1e-4
     )
     assert of_rows.late(*delay(*_effects(calib.identify(model, free)))).passed
+
+
+@pytest.mark.parametrize(("stamped", "jitters"), [("points", 2e-3), ("joints", 3e-3), ("points", 0.0)])
+def test_stamps_that_jitter_are_told_from_errors_of_the_machine(stamped: str, jitters: float) -> None:
+    """Uniformly by so many s to either side; what gears wobble by is in no proportion to the speed."""
+    made = streams.streams(5, seconds=40.0, sigma=1e-4, jitter=0.0)
+    table = made.seen if stamped == "points" else made.joints
+    off = np.random.default_rng(1).uniform(-jitters, jitters, len(table["time [s]"]))
+    table["time [s]"] = np.sort(table["time [s]"] + off)
+    if not jitters:
+        for name in made.joints.keys() - {"time [s]"}:
+            made.joints[name] = made.joints[name] + 2e-4 * np.cos(3.0 * made.joints[name])
+    fit = calib.identify(calib.error_model(made.robot, offsets="all", placements="all"), streams.read(made, sigma=1e-4))
+    found = stamps(_effects(fit)[0], fit.machine.frames.scalars)
+    if not jitters:
+        assert not found
+        return
+    (one,) = found
+    # Of two samples beside a row, each is off by itself, and a cubic goes through both.
+    assert one.off == pytest.approx(jitters / np.sqrt(3.0), rel=0.15 if stamped == "points" else 0.25)
+    assert one.step == 0.0
+    assert "time stamps, of measurements or readings, seem to jitter by " in one.sentence
+    told = one.named_in(Check.of("outliers", 0.06, 0.05, False, "Too many."))
+    assert told.sentence == f"Too many. But {one.what}, and that may be all there is to it."
+    sound = Check.of("outliers", 0.01, 0.05, True, "Few.")
+    assert one.named_in(sound) is sound
+
+
+def test_stamps_that_are_rounded_are_told() -> None:
+    made = streams.streams(5, seconds=40.0, sigma=1e-4, jitter=0.0)
+    made.joints["time [s]"] = np.round(made.joints["time [s]"] / 0.004) * 0.004
+    fit = calib.identify(calib.error_model(made.robot, offsets="all", placements="all"), streams.read(made, sigma=1e-4))
+    (one,) = stamps(_effects(fit)[0], fit.machine.frames.scalars)
+    assert one.step == pytest.approx(0.004)
+    assert one.what.endswith("time stamps are rounded to 4 ms")
+
+
+@pytest.mark.parametrize(
+    ("times", "step"),
+    [
+        (np.arange(100) * 0.008, 0.0),  # a clock that ticks exactly
+        (np.delete(np.arange(100), [20, 40, 41]) * 0.008, 0.0),  # and whose samples were lost
+        (np.concatenate([np.arange(40) * 0.008, 1.003 + np.arange(40) * 0.008, 2.107 + np.arange(40) * 0.008]), 0.0),
+        (np.round(np.arange(100) * 0.0067, 3), 0.001),
+        (1.7e9 + np.round(np.arange(100) * 0.0067, 3), 0.001),
+        (np.arange(100) * 0.0067123 % 100.0, 0.0),
+        (np.sort(np.random.default_rng(0).uniform(0.0, 1.0, 100)), 0.0),
+        (np.array([1.0]), 0.0),
+    ],
+)
+def test_the_step_of_stamps(times: np.ndarray, step: float) -> None:
+    assert step_of(times) == pytest.approx(step)
 
 
 def _effects(fit: calib.Fit) -> tuple[tuple[Stretch, ...], np.ndarray]:
