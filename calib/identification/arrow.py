@@ -72,6 +72,9 @@ class Split:
         """Return the split of which blocks with any of some ``parameters`` (p,) are common."""
         also = np.any(self.real & parameters[self.blocks], axis=1)
         more = self.blocks[also][self.real[also]]
+        if also.all():
+            # No block is of any width: rows have no columns of their own.
+            return Split.none(self.size)
         return Split(np.sort(np.concatenate([self.common, more])), self.blocks[~also])
 
     def parts(self, x: Array) -> tuple[Array, Array]:

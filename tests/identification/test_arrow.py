@@ -125,6 +125,13 @@ def test_step_covariance_and_used_unknowns_are_those_of_the_whole_jacobian(open_
         )
 
 
+def test_where_no_block_remains_rows_have_no_columns_of_their_own() -> None:
+    split = random_rows(np.random.default_rng(5))[0]
+    with_first = np.isin(np.arange(split.size), split.blocks[:, 0])
+    assert split.without(with_first).blocks.shape == Split.none(split.size).blocks.shape
+    assert split.without(with_first).common.tolist() == list(range(split.size))
+
+
 def test_ranks_are_those_of_the_whole_jacobian() -> None:
     split, common, own, block = random_rows(np.random.default_rng(5))
     for k in range(2):

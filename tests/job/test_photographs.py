@@ -584,3 +584,28 @@ def test_photographs_teach_how_well_an_arm_is_made_where_they_are_enough(count: 
     arm = load_robot(UR5, "tool0")
     job = Imported(tuple(photographs), size, (), {}, nothing, (), arm).job(UR5, "marks.csv", "b.toml", camera_on="tip")
     assert f"prior = {{ length = {prior} }}" in job
+
+
+def test_a_board_of_two_tables_and_learned_priors_is_assessed(folder: Path, session: simulation.Session) -> None:
+    """Its place is an unknown of both, and no block: what rows are in m, and no pixel is, was a traceback."""
+    columns = simulation.corners_seen(session, 0.05, np.random.default_rng(1))
+    rows = list(zip(*columns.values(), strict=True))
+    for name, own in (("a.csv", rows[: len(rows) // 2]), ("b.csv", rows[len(rows) // 2 :])):
+        with (folder / name).open("w", newline="") as file:
+            csv.writer(file).writerows([list(columns), *own])
+    lens = session.lens
+    tables = "".join(
+        f'[[measurements]]\nfile = "{name}"\nobserves = "pixels"\ninstrument = "eye"\n' for name in ("a.csv", "b.csv")
+    )
+    (folder / "two.toml").write_text(
+        f'schema = 1\n[robot]\nurdf = "{UR5}"\ntip = "tool0"\n'
+        '[error_model]\noffsets = "all"\nplacements = "all"\nbase = "fixed"\ntool = "pose"\n'
+        'prior = { length = "learned", angle = "learned" }\n'
+        '[instruments.eye]\nkind = "camera"\ncamera_on = "tip"\nlens = "given"\n'
+        f'fx = "{lens.fx} px"\nfy = "{lens.fy} px"\ncx = "{lens.cx} px"\ncy = "{lens.cy} px"\n'
+        f"size = [{lens.size[0]}, {lens.size[1]}]\n"
+        + "".join(f"{name} = {value}\n" for name, value in zip(("k1", "k2", "p1", "p2", "k3"), lens.k, strict=True))
+        + tables
+    )
+    assert run("calibrate", folder / "two.toml", "-o", folder / "out").code in (0, 3)
+    assert (folder / "out" / "result.json").exists()
