@@ -110,7 +110,7 @@ def unchecked(residue: Residue, kind: Literal["base", "tool"]) -> tuple[str, ...
         if few.isdisjoint(frame_numbers(data, kind).tolist()):
             continue
         for rows in residue.blocks(i):
-            H = rows.J @ residue.covariances(rows) @ np.swapaxes(rows.J, -1, -2)
+            H = rows.J @ residue.covariance.of_rows(rows.J, rows.block)
             own = np.sum(1.0 - rows.w[:, None] * np.diagonal(H, axis1=1, axis2=2), axis=1)
             for k in few:
                 left[k] += float(np.sum(own[frame_numbers(data, kind)[rows.rows] == k]))

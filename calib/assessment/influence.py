@@ -185,7 +185,7 @@ class Residue:
             w,
             np.array(squares),
             np.array(freedom),
-            _predicted(fit, problem.rates(fit.machine, units, fit.spread.split), covariance),
+            _predicted(fit, problem.rates(fit.machine, units, covariance.split), covariance),
         )
 
     @property
@@ -231,12 +231,6 @@ class Residue:
             np.full(len(data), -1, dtype=np.intp) if (own := self._rates.whose(data)) is None else own
             for data in self.fit.measurements
         )
-
-    def covariances(self, rows: WhitenedRows) -> Array:
-        """Return the covariance (c, c) of the columns of rows, or (n, c + a, c + a) of those of every row."""
-        if rows.J.shape[2] == len(self.split.common):
-            return self.covariance.common
-        return self.covariance.beside(rows.block)
 
     def scatter(self, without: Array | float, freedom: Array | float, i: int | None = None) -> Array:
         """Return the variance, as a share of the fit's, that is seen in set i (or in all) when something is left out.

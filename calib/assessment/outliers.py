@@ -114,7 +114,7 @@ class _Judged(NamedTuple):
 def _judged(residue: Residue, block: WhitenedRows, squares: SquaresOfSet | None) -> _Judged:
     """Judge the rows of a block, by the ``squares`` that are left of their set without each; None for the only set."""
     i, w = block.measurements, block.w[:, None]
-    CJ = residue.covariances(block) @ np.swapaxes(block.J, -1, -2)
+    CJ = residue.covariance.of_rows(block.J, block.block)
     h, U = np.linalg.eigh(block.J @ CJ)
     u = (np.swapaxes(U, -1, -2) @ block.r[:, :, None])[:, :, 0]
     left = 1.0 - w * h

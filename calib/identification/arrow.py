@@ -384,17 +384,21 @@ class Covariance:
         found[numbers[i], numbers[j]] += np.einsum("nk,nk->n", root[i], root[j])
         return np.asarray(found)
 
-    def beside(self, blocks: IntArray) -> Array:
-        """Return covariances (n, c + a, c + a) of common parameters with those of a block each (n,); -1: of none."""
-        F, L = self.follow[blocks].copy(), self.root[blocks].copy()
+    def of_rows(self, J: Array, blocks: IntArray) -> Array:
+        """Return the covariances (n, c + a, d) of parameters with what rows say by Jacobians J (n, d, c + a).
+
+        The columns are those of the common parameters, then those of a row's block (n,); -1: of none. Without any, a
+        may be 0.
+        """
+        c = len(self.common)
+        common, own = np.swapaxes(J[:, :, :c], -1, -2), np.swapaxes(J[:, :, c:], -1, -2)
+        if not own.size:
+            return np.asarray(self.common @ common)
+        # The matrices of all rows would be gigabytes.
+        F, L = self.follow[blocks], self.root[blocks]
         F[blocks < 0], L[blocks < 0] = 0.0, 0.0
-        across = F @ self.common
-        own = across @ np.swapaxes(F, -1, -2) + L @ np.swapaxes(L, -1, -2)
-        common = np.broadcast_to(self.common, (len(blocks), *self.common.shape))
-        return np.concatenate(
-            [np.concatenate([common, np.swapaxes(across, -1, -2)], axis=2), np.concatenate([across, own], axis=2)],
-            axis=1,
-        )
+        found = self.common @ (common + np.swapaxes(F, -1, -2) @ own)
+        return np.concatenate([found, F @ found + L @ (np.swapaxes(L, -1, -2) @ own)], axis=1)
 
     def times(self, values: Array) -> Array:
         """Return the covariance times ``values`` (p, k)."""

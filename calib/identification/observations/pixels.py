@@ -36,13 +36,15 @@ def photographed(seen: Seen, photograph: IntArray | None = None) -> Photographed
     data, camera = seen.data, seen.data.camera
     assert camera is not None, "pixels were seen by a camera"
     value, lens = data.value[seen.rows], lens_at(camera, seen.scalars)
-    places, by_shape = _places(seen)
+    places, by_shape, shaped = _places(seen)
     turn, marks = marks_seen(*_in_order(seen), places, photograph)
     projected = project(lens, marks)
     by_place = -projected.by_point @ turn
     # dY = -v - w x Y.
     by_camera = np.concatenate([projected.by_point, -projected.by_point @ rigid.skew(marks)], axis=2)
-    scalars = {role: (by_place @ column[:, :, None])[:, :, 0] for role, column in by_shape.items()}
+    # Of a board of free shape there are hundreds of columns: all at once.
+    by_values = by_place @ by_shape
+    scalars = {role: by_values[:, :, k] for k, role in enumerate(shaped)}
     if camera.free:
         by_number = by_lens(lens, projected.flat)
         scalars |= {name: -by_number[:, :, NAMES.index(name)] for name in camera.free if name in seen.scalars}
@@ -83,15 +85,15 @@ def _linearised(
     return Linearised(residual, (by_twist(twist, seen.tools),), target=target, scalars=scalars)
 
 
-def _places(seen: Seen) -> tuple[Array, dict[str, Array]]:
-    """Return where marks (n, 3) are on their board, and how they move (n, 3) with each unknown of it."""
+def _places(seen: Seen) -> tuple[Array, Array, tuple[str, ...]]:
+    """Return where marks (n, 3) are on their board, how they move (n, 3, k) with its unknowns, and what these are."""
     data, places = seen.data, seen.data.value[seen.rows, 2:]
     if data.board is None:
-        return places, {}
+        return places, np.zeros((len(places), 3, 0)), ()
     modes = data.board.modes[data.mark[seen.rows]] if data.mark is not None else np.zeros((len(places), 3, 0))
     found, by_values = places_of(places, modes, shape_at(data.board, seen.scalars))
-    roles = (SCALE, *data.board.mode_names)
-    return found, {role: by_values[:, :, k] for k, role in enumerate(roles) if role in seen.scalars}
+    known = {role: k for k, role in enumerate((SCALE, *data.board.mode_names)) if role in seen.scalars}
+    return found, by_values[:, :, list(known.values())], tuple(known)
 
 
 def marks_seen(cameras: Array, boards: Array, places: Array, photograph: IntArray | None = None) -> tuple[Array, Array]:
