@@ -22,7 +22,7 @@ from calib.foundations.chance import exceeded
 from calib.foundations.units import DEG, MM
 from calib.identification.fit import Fit
 from calib.identification.machine import Layout
-from calib.identification.parameters import scales
+from calib.identification.parameters import Parameter, scales
 from calib.measurement.checks import Finding
 
 # Standard deviations of a stated prior by which what is found may be off. A scale is that of a board's print, which is
@@ -53,20 +53,14 @@ class _Wrong(NamedTuple):
 
 
 def contradicted(fit: Fit, parts: Sequence[Stretch]) -> list[Finding]:
-    """Return a sentence for scales of boards far from what is stated, and one for priors that are too narrow.
+    """Return sentences for scales of boards and numbers of lenses far from what is stated, and of too narrow priors.
 
     ``parts``: its rows, where it ended. Learned priors are as wide as the data say.
     """
     found = [
-        Finding.warning(
-            _CODE,
-            f"{parameter.name} is found {100.0 * off:+.2g} +- {100.0 * sigma:.2g} % from what is stated, which "
-            f"is said to be right to {100.0 * prior:.2g} %, and is held back by that. Measure the squares of the board "
-            "again.",
-        )
+        Finding.warning(_CODE, sentence)
         for parameter, value, sigma in zip(fit.parameters, fit.values, fit.sigmas, strict=True)
-        if is_stated_scale(parameter) and (prior := parameter.prior)
-        if abs(off := value - (parameter.centre or 0.0)) > _OFF * prior
+        if (sentence := _of_camera(parameter, float(value), float(sigma)))
     ]
     among = set(parts[0].columns.tolist()) if parts else set()
     judged = [_judged(fit, np.array(which), what, parts) for which, what in _stated_together(fit, among)]
@@ -79,6 +73,24 @@ def contradicted(fit: Fit, parts: Sequence[Stretch]) -> list[Finding]:
     harms = max(one.pull for one in wrong) >= _PULL
     said = _MUCH if harms else _LITTLE
     return [*found, Finding.warning(_CODE if harms else HARMLESS, wrong[0].sentence + said + more)]
+
+
+def _of_camera(parameter: Parameter, value: float, sigma: float) -> str | None:
+    """Return what is to be said of a number of a board or a lens that is far from what is stated; None of others."""
+    off, prior = value - (parameter.centre or 0.0), parameter.prior
+    of_lens = parameter.kind == "instrument" and parameter.name.startswith("lens.")
+    if prior is None or not (of_lens or is_stated_scale(parameter)) or abs(off) <= _OFF * prior:
+        return None
+    if of_lens:
+        unit = f" {parameter.unit}" if parameter.unit == "px" else ""
+        so, right, remedy = f"{off:+.2g} +- {sigma:.2g}{unit}", f"{prior:.2g}{unit}", "Leave out its lens_sigma"
+    else:
+        so, right = f"{100.0 * off:+.2g} +- {100.0 * sigma:.2g} %", f"{100.0 * prior:.2g} %"
+        remedy = "Measure the squares of the board again"
+    return (
+        f"{parameter.name} is found {so} from what is stated, which is said to be right to {right}, and is held back "
+        f"by that. {remedy}."
+    )
 
 
 def _stated_together(fit: Fit, among: AbstractSet[int]) -> Iterator[tuple[list[int], str]]:
