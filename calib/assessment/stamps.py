@@ -82,17 +82,27 @@ def stamps(parts: Sequence[Stretch], scalars: Array) -> tuple[Stamps, ...]:
             continue
         read = [data.reading_names.index(name) for name in part.joints]
         rates = data.stream.mean_rates(data.shifts(scalars), part.row.astype(np.intp))[:, read]
-        moved = np.einsum("ndk,nk->nd", part.by_joint, rates)
+        by_rate = part.by_joint * rates[:, None, :]
+        moved = by_rate.sum(axis=2)
         squares = np.sum(moved**2, axis=1)
         rest = max(float(np.mean(np.sum(part.r**2, axis=1))), part.least)
         joints = np.concatenate([np.unique(piece.t) for piece in data.stream.joints.pieces])
         steps = [(data.stream.joints.where, step_of(joints)), (data.where, step_of(data.stream.since))]
         told = [(file, step / np.sqrt(12.0), step) for file, step in steps if step > 0.0]
-        for file, off, step in told or [(data.where, jitter(part.r, moved), 0.0)]:
+        for file, off, step in told or [(data.where, jitter(_in_time(part.r, by_rate), moved), 0.0)]:
             own = off**2 * float(np.mean(squares))
             distance = np.sqrt(own) / per_metre([part])
             found.append(Stamps(file, float(off), float(distance), own / rest, step))
     return tuple(one for one in found if one.share >= _SHARE)
+
+
+def _in_time(r: Array, by_rate: Array) -> Array:
+    """Return rows (n, d) less what is explained by each joint being late; ``by_rate`` (n, d, k): what it does in 1 s.
+
+    A delay is no jitter, and another check names it.
+    """
+    D = by_rate.reshape(r.size, -1)
+    return np.asarray(r - (D @ np.linalg.lstsq(D, r.ravel(), rcond=None)[0]).reshape(r.shape))
 
 
 def jitter(r: Array, moved: Array) -> float:
