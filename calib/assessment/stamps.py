@@ -11,6 +11,7 @@ Nothing else in a fit tells such noise from errors of the machine, whose stated 
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import PurePath
 from typing import NamedTuple
 
 import numpy as np
@@ -87,7 +88,8 @@ def stamps(parts: Sequence[Stretch], scalars: Array) -> tuple[Stamps, ...]:
         squares = np.sum(moved**2, axis=1)
         rest = max(float(np.mean(np.sum(part.r**2, axis=1))), part.least)
         joints = np.concatenate([np.unique(piece.t) for piece in data.stream.joints.pieces])
-        steps = [(data.stream.joints.where, step_of(joints)), (data.where, step_of(data.stream.since))]
+        # Only the tables of a fit are called as its job calls them.
+        steps = [(PurePath(data.stream.joints.where).name, step_of(joints)), (data.where, step_of(data.stream.since))]
         told = [(file, step / np.sqrt(12.0), step) for file, step in steps if step > 0.0]
         for file, off, step in told or [(data.where, jitter(_in_time(part.r, by_rate), moved), 0.0)]:
             own = off**2 * float(np.mean(squares))
