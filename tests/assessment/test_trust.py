@@ -680,27 +680,6 @@ def test_few_lengths_of_each_anchor_have_no_outliers() -> None:
     )
 
 
-def test_a_few_rows_are_as_far_off_in_several_tables_as_in_one(cell: Cell) -> None:
-    """Two of sixty rows are sound; they are as sound where the sixty are four tables, and both are in one of them."""
-    whole = cell.measured(cell.draw(60))
-
-    def judged(tables: int, far: int) -> Check:
-        fit = calib.identify(cell.model, [whole.subset(rows) for rows in np.array_split(np.arange(60), tables)])
-        sets = [
-            JudgedSet("identification", d.where, d, r, r.copy())
-            for d, r in zip(fit.measurements, fit.residuals, strict=True)
-        ]
-        sets[-1].after[-far:] += 2e-3
-        return of_rows.outliers(fit, sets)
-
-    assert judged(1, 2).passed
-    assert judged(4, 2).passed
-    # Four of all rows are too many, also where they are in one table; so are those of one table among sound ones.
-    assert not judged(1, 4).passed
-    assert not judged(4, 4).passed
-    assert judged(4, 2).statistic == pytest.approx(2 / 60)
-
-
 def test_rounded_readings_count_where_they_are_what_remains(cell: Cell) -> None:
     q = cell.draw(60)
     whole = np.radians(np.round(np.degrees(q)))

@@ -1,21 +1,18 @@
 """Checks of the rows: what they say of each other, of the instrument, of clocks and of several machines."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
-import scipy
 
 from calib.assessment.checks.of_fit import OF_REACH, ROUNDING
 from calib.assessment.effects import LENGTHS, Drift, Effect, Rounding, Step, Strain, Timing
 from calib.assessment.judged import NOTHING, Check, JudgedSet
 from calib.assessment.metrics import error_norms
 from calib.assessment.mixed_machines import MixedMachines
-from calib.assessment.outliers import LEVEL, Outliers
+from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
 from calib.foundations.chance import bound
 from calib.foundations.units import MM, MS
-from calib.foundations.words import listed
 from calib.identification.fit import Fit
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.poses import ONE_POSE
@@ -295,11 +292,8 @@ def one_machine(found: Sequence[MixedMachines], fit: Fit) -> Check:
 
 
 def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
-    """Whether many rows lie far from the rest: of all tables together, or of one where that is no accident.
-
-    Of a table of fifteen rows two are more than may be, and of four such tables one has two.
-    """
-    counted: dict[tuple[str, float], list[_Far]] = {}
+    """Whether many rows lie far from the rest."""
+    worst, limit, passed, where = 0.0, GROSS, True, ""
     for i, (one, loss) in enumerate(zip(own, fit.losses, strict=False)):
         allowed = GROSS if loss == "linear" else GROSS_ROBUST
         for name, errors in error_norms(one.data.kind, one.after).items():
@@ -307,45 +301,15 @@ def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
             scale = float(np.median(errors)) / np.sqrt(bound(0.5, d))
             freedom = sum(n.degrees_of_freedom for n in fit.noise if (n.measurements, n.quantity) == (i, name))
             many = int(np.sum(errors > FAR * _poorly_known(freedom) * scale)) if scale > ROUNDING else 0
-            counted.setdefault((name, allowed), []).append(_Far(one.file, many, len(errors)))
-    worst, limit, where = 0.0, GROSS, ""
-    for (_, allowed), tables in counted.items():
-        alike = _Far.of(tables)
-        for one_of in (alike, *(table for table in tables if table.no_accident(allowed))):
-            if one_of.share / allowed > worst / limit:
-                worst, limit, where = one_of.share, allowed, one_of.file
+            share = many / len(errors) if many > 1 else 0.0
+            if share / allowed > worst / limit:
+                worst, limit, where = share, allowed, one.file
+            passed = passed and share <= allowed
     said = f"{100.0 * worst:.2g} % of the rows are more than {FAR:g} standard deviations from the rest"
     # A joint that moves with another, and a model without that, look alike.
     why = "they are wrong, or the arm does there what the model leaves out; look at them before any is removed."
-    said = f"{said}." if worst <= limit else f"{where}: {said}: {why}"
-    return Check.of("outliers", worst, limit, worst <= limit, said)
-
-
-class _Far(NamedTuple):
-    """How ``many`` of the ``rows`` of a ``file`` are far from the rest."""
-
-    file: str
-    many: int
-    rows: int
-
-    @classmethod
-    def of(cls, tables: Sequence["_Far"]) -> "_Far":
-        """Return the rows of all tables together, by the names of those that have such rows."""
-        named = [one.file for one in tables if one.many]
-        return cls(
-            named[0] if len(named) == 1 else listed(named),
-            sum(one.many for one in tables),
-            sum(one.rows for one in tables),
-        )
-
-    @property
-    def share(self) -> float:
-        """That share of the rows; 0 of one row, as may be in any table."""
-        return self.many / self.rows if self.many > 1 else 0.0
-
-    def no_accident(self, allowed: float) -> bool:
-        """Return whether so many are clearly more than the share that is allowed."""
-        return bool(self.many and scipy.special.bdtrc(self.many - 1, self.rows, allowed) < LEVEL)
+    said = f"{said}." if passed else f"{where}: {said}: {why}"
+    return Check.of("outliers", worst, limit, passed, said)
 
 
 def _poorly_known(freedom: float) -> float:
