@@ -410,11 +410,14 @@ def test_readings_without_a_unit_are_told_before_the_photographs_are_searched(fo
     assert not (folder / "marks.csv").exists()
 
 
+def widened(file: Path, titles: str, cells: str) -> None:
+    """Write further columns into a table, the same cells in each row."""
+    head, *rows = file.read_text().splitlines()
+    file.write_text("\n".join([f"{head},{titles}", *(f"{row},{cells}" for row in rows), ""]))
+
+
 def test_columns_that_no_job_reads_are_left_out_of_the_table_of_pixels(folder: Path) -> None:
-    head, *rows = (folder / "readings.csv").read_text().splitlines()
-    (folder / "readings.csv").write_text(
-        "\n".join([f"{head},note,width [mm]", *(f"{row},warm,12" for row in rows), ""])
-    )
+    widened(folder / "readings.csv", "note,width [mm]", "warm,12")
     said = imported(folder, "readings.csv", "--robot", UR5)
     assert "has readings of the joints; 'note', 'width [mm]' are not read." in said.out.replace("\n", " ")
     with (folder / "marks.csv").open() as file:
@@ -424,10 +427,7 @@ def test_columns_that_no_job_reads_are_left_out_of_the_table_of_pixels(folder: P
 
 def test_columns_that_the_table_of_pixels_has_itself_are_left_out(folder: Path) -> None:
     """Else the job beside it found two columns of a name."""
-    head, *rows = (folder / "readings.csv").read_text().splitlines()
-    (folder / "readings.csv").write_text(
-        "\n".join([f"{head},group,sigma [mm],u [px]", *(f"{row},a,0.1,7" for row in rows), ""])
-    )
+    widened(folder / "readings.csv", "group,sigma [mm],u [px]", "a,0.1,7")
     said = imported(folder, "readings.csv", "--robot", UR5)
     assert "'group', 'sigma [mm]', 'u [px]' are not read." in said.out.replace("\n", " ")
     assert run("check", folder / "marks.toml").code == 0
@@ -477,8 +477,7 @@ def test_readings_that_no_job_could_read_are_told_before_photographs_are_searche
 
 
 def test_what_stands_beside_poses_of_the_flange_is_not_read_and_named(folder: Path) -> None:
-    head, *rows = (folder / "flange.csv").read_text().splitlines()
-    (folder / "flange.csv").write_text("\n".join([f"{head},note,speed", *(f"{row},warm,12" for row in rows), ""]))
+    widened(folder / "flange.csv", "note,speed", "warm,12")
     said = imported(folder, "flange.csv", "--robot", UR5)
     assert (said.code, said.err) == (0, "")
     assert "flange.csv:'note','speed'arenotread." in "".join(said.out.split())
