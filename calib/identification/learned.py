@@ -25,9 +25,6 @@ Outcome = Literal["learned", "too few", "nothing shows", "widest"]
 _FEWEST = 3.0
 # Usual widths are one parameter scale, but zeros of joints that turn, which are set by hand, so many: 5 mrad.
 _ZEROS = 5.0
-# Normal equations hold half of a double's digits, and must tell the widest prior from none. Rows with less noise than
-# that allows, a fraction of a micrometre, are taken to have so much.
-_MOST_INFORMATION = 1e10
 _MOST_ROUNDS = 8
 _NEGLIGIBLE_CHANGE = 0.01
 # Where widths change by less, as a logarithm, another search would only end within the rounding of the last one.
@@ -125,22 +122,19 @@ def _equations(
     learned = np.array([parameter.group is not None for parameter in parameters])
     known[range(p), range(p)] += np.where(learned, 0.0, hold**2)
     least, counts = [], []
-    for component, used in zip(problem.components, taken, strict=True):
+    for component, used, spent in zip(problem.components, taken, problem.spent, strict=True):
         instrument = problem.measurements[component.measurements].sigma[:, component.columns]
         total = sigmas[component.measurements][:, component.columns]
         least.append(np.sqrt(np.mean(instrument**2) / np.mean(total**2)))
-        counts.append(instrument.size - used)
+        counts.append(instrument.size - used - spent)
     given = [None] * len(counts) if variances is None else list(variances)
     # Where rows that lie off weigh less, their number says too little; the solver alone finds the noise.
     fixed = [v is not None or problem.robust for v in given]
-    grams = np.stack([gram(triangle) for triangle in triangles])
-    finest = np.sqrt(grams[:, range(p), range(p)].max(axis=1) / _MOST_INFORMATION)
-    coarser = np.maximum(finest, 1.0)
-    return NormalEquations(
-        grams / coarser[:, None, None] ** 2,
+    return NormalEquations.weighed(
+        np.stack([gram(triangle) for triangle in triangles]),
         np.array(counts, dtype=np.float64),
         known,
-        np.maximum(least, finest) / coarser,
+        np.array(least),
         np.array(fixed),
         np.array([-1 if q.group is None else names.index(q.group) for q in parameters], dtype=np.intp),
     )

@@ -32,8 +32,6 @@ _FEWEST = 3.0
 # The power of widths where errors of many kinds are summed up, as of the sizes of what is left out: it keeps the sum as
 # large as errors are.
 _IN_SUMS = 0.25
-# Normal equations hold half of a double's digits, as in :mod:`calib.identification.learned`.
-_MOST_INFORMATION = 1e10
 # Whitened residuals that change by less, in sum, move no parameter by more than that share of its sigma.
 _NOTICED = 0.3
 # Where it is so little, steps have led back to the valley; it makes sigmas a few times too wide at most.
@@ -228,9 +226,5 @@ def _equations(J: Array, r: Array, z: Array, held: Array, group: IntArray) -> No
         others:, others:
     ]
     gram = left.T @ left
-    p = len(gram) - 1
-    finest = max(float(gram.diagonal()[:p].max()) / _MOST_INFORMATION, 1.0)
     ones = np.ones(1)
-    return NormalEquations(
-        gram[None] / finest, ones, np.zeros((p + 1, p + 1)), ones, np.ones(1, dtype=np.bool_), group[own]
-    )
+    return NormalEquations.weighed(gram[None], ones, np.zeros(gram.shape), ones, np.ones(1, dtype=np.bool_), group[own])

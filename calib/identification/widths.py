@@ -43,6 +43,8 @@ _LESS_NOISE = (_MOST_NOISE, 30.0, 3.0)
 _MOST_STEPS = 300
 _MOST_TURNS = 20
 _SETTLED = 1e-4
+# The largest product of a column with itself, beside the widest prior's.
+_MOST_INFORMATION = 1e10
 # A tenth of the rows moves widths by little.
 _FEW_TURNS = 3
 # Of equations that are singular by rounding: products of sigmas in them span more than a double's digits.
@@ -69,6 +71,21 @@ class NormalEquations(NamedTuple):
     least: Array
     fixed: BoolArray
     group: IntArray
+
+    @classmethod
+    def weighed(
+        cls, grams: Array, counts: Array, known: Array, least: Array, fixed: BoolArray, group: IntArray
+    ) -> "NormalEquations":
+        """Return them for rows with no less noise than a double can weigh beside the widest prior.
+
+        Normal equations hold half of its digits. Rows with less noise, a fraction of a micrometre, or none at all, are
+        taken to have so much.
+        """
+        p = len(group)
+        finest = np.sqrt(grams[:, range(p), range(p)].max(axis=1) / _MOST_INFORMATION)
+        coarser = np.maximum(finest, 1.0)
+        least = np.maximum(least, finest) / coarser
+        return cls(grams / coarser[:, None, None] ** 2, counts, known, least, fixed, group)
 
 
 class Likelihood(NamedTuple):
