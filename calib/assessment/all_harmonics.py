@@ -18,7 +18,7 @@ from calib.assessment.entering import Products
 from calib.assessment.validation import HeldOut, held_out, surely_less, unharmed
 from calib.foundations.arrays import Array, IntArray
 from calib.identification.learned import too_few
-from calib.identification.widths import NormalEquations, Widths, likeliest_widths, nearby
+from calib.identification.widths import NormalEquations, Widths, likeliest_widths, likelihood, nearby
 from calib.robot.terms import JointTerm
 
 
@@ -26,9 +26,9 @@ from calib.robot.terms import JointTerm
 class AllHarmonics:
     """All harmonics of some ``readings`` up to an ``order``, with learned widths, and what rows held out say of them.
 
-    ``terms``: they and what else was chosen, but gains of these readings. ``held_out``, ``away`` and ``rms``: as of a
-    step of the choice. ``taken``: whether they predict surely better than what was chosen, and a fit converges.
-    ``widths``: those that all rows teach, of every reading that has harmonics.
+    ``terms``: they and what else was chosen, but gains of these readings. ``held_out``, ``away``, ``rms`` and
+    ``optimism``: as of a step of the choice. ``taken``: whether they predict surely better than what was chosen, and a
+    fit converges. ``widths``: those that all rows teach, of every reading that has harmonics.
     """
 
     readings: tuple[str, ...]
@@ -39,6 +39,7 @@ class AllHarmonics:
     rms: float
     taken: bool
     widths: tuple[float, ...] = ()
+    optimism: tuple[float, ...] = ()
 
     def record(self) -> dict[str, object]:
         """Return it as plain data, in SI units."""
@@ -127,6 +128,15 @@ class Offer(NamedTuple):
             found[k, np.concatenate([self.known.geometry, columns])] = z
         return found
 
+    def of_all(self, products: Products, chosen: IntArray) -> Array:
+        """Return what all rows find (p,) beside ``chosen`` columns."""
+        columns, found = self.columns(chosen), np.zeros(len(self.known.weak))
+        equations = _Equations(self.known, self.harmonics, products, columns).of(columns, None)
+        found[np.concatenate([self.known.geometry, columns])] = likelihood(
+            equations, self.start.widths, self.start.factors
+        ).z
+        return found
+
 
 def _columns(harmonics: IntArray, kept: IntArray, order: int, chosen: IntArray) -> IntArray:
     return np.union1d(chosen, harmonics[kept, :order])
@@ -160,7 +170,7 @@ class _Equations:
         beside = known.products[np.ix_(both, both)]
         beside[range(p), range(p)] -= np.where(reading >= 0, known.weak[both[:-1]], 0.0)
         least, fixed = np.array([known.least]), np.array([known.fixed])
-        return NormalEquations(gram[None], np.array([count]), beside, least, fixed, reading)
+        return NormalEquations.weighed(gram[None], np.array([count]), beside, least, fixed, reading)
 
 
 def better(offered: Array, chosen: Array, group: IntArray) -> bool:

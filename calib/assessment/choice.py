@@ -17,13 +17,14 @@ at some, as many of every group as of the others. Fits, before and after it, tak
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
 from calib.assessment.all_harmonics import AllHarmonics, Offer, better
-from calib.assessment.linearised import Candidate, Judged, LinearisedSystem
+from calib.assessment.linearised import Candidate, Errors, Judged, LinearisedSystem
 from calib.assessment.validation import (
     ChosenRows,
     HeldOut,
@@ -45,6 +46,7 @@ from calib.identification.error_model import ErrorModel, with_terms
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near
 from calib.identification.losses import Loss
+from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements, as_sets
 from calib.robot.conditions import joined
 from calib.robot.joint_terms import ordered, parts
@@ -62,6 +64,8 @@ _FORETOLD = 2.0
 _SHOWS = 0.87
 # ... and what does not must make predictions between places scatter this much less.
 _STEADIER = 0.8
+# Less noise than this, in m, rad or px, is none.
+_NO_NOISE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,13 +74,16 @@ class Step:
 
     ``added`` is None for the first, geometry alone. ``held_out``: in standard deviations of the noise that the
     geometric fit shows, rows that lie off weighing less where a loss says so; ``rms``: of every quantity, in SI units.
-    ``away``: as ``held_out``, whole neighbourhoods being held out; None of steps that poses do not allow.
+    ``away``: as ``held_out``, whole neighbourhoods being held out; None of steps that poses do not allow. ``optimism``:
+    of every component of the data, how many times the mean squared error of rows held out is that of rows fitted to;
+    empty of steps that may not be taken.
     """
 
     added: Candidate | None
     held_out: HeldOut
     rms: Mapping[str, float]
     away: HeldOut | None = None
+    optimism: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +147,11 @@ class Choice:
     taken_back: int = 0
     weighed: Weighed | None = None
     all_harmonics: AllHarmonics | None = None
+
+    @property
+    def spent(self) -> tuple[float, ...]:
+        """Degrees of freedom of every component of the data that the choice has spent; empty where it took none."""
+        return self.fit.spent
 
     @property
     def model(self) -> ErrorModel:
@@ -266,7 +278,7 @@ def choose_from(
         if len(ways) > 1:
             weighed = Weighed(*(figures[smallest_unharmed(figures)] for figures in (way.near.figures for way in ways)))
         among, entered, held = ways[-1 if weighed is not None and weighed.by_torques else 0]
-        figures, rms = held.figures, held.rms
+        figures, rms = held.figures, held.errors.rms
         most, away = smallest_unharmed(figures), list[HeldOut]()
         elsewhere: Judged | None = None
         if most:
@@ -288,27 +300,33 @@ def choose_from(
         if offered is None and not near.apart and geometric.model.priors.harmonics in (None, "learned"):
             begin = () if like is None or like.all_harmonics is None else like.all_harmonics.widths
             harmonics = _all_harmonics(system, chosen_from, entered[:most], largest, begin, held, far, progress)
+        optimism = _optimism(system, held, held.errors, system.way(products, among, steps=most).values)
         steps = tuple(
             Step(
                 None if k == 0 else chosen_from[entered[k - 1]],
                 figure,
                 {name: float(v[k]) for name, v in rms.items()},
                 away[k] if k < len(away) else None,
+                optimism[k] if k <= most else (),
             )
             for k, figure in enumerate(figures)
         )
         found = Choice(steps, most, geometric, geometric, len(group), len(chosen_from), 0, weighed, harmonics)
-        return _fitted(found, rows, near.apart, progress)
+        return _fitted(found, rows, count, near.apart, progress)
 
 
-def _fitted(choice: Choice, rows: ChosenRows, apart: bool, progress: Callable[[str], None]) -> Choice:
+def _fitted(choice: Choice, rows: ChosenRows, folds: int, apart: bool, progress: Callable[[str], None]) -> Choice:
     """Return the choice with a fit that converges: with all harmonics, where these are taken, or with fewer steps."""
     geometric, harmonics = choice.geometric, choice.all_harmonics
+
+    again = partial(identify_near, model_sigmas=rows.model_sigmas, losses=rows.losses)
 
     def fitted(model: ErrorModel, choice: Choice) -> Fit:
         progress(f"choosing joint terms: fitting {len(choice.terms)} coefficients")
         chosen = with_terms(model, choice.terms)
-        return identify_near(geometric, chosen, rows.sets, model_sigmas=rows.model_sigmas, losses=rows.losses)
+        fit = again(geometric, chosen, rows.sets)
+        spent = _spent(choice, fit, folds)
+        return again(fit, chosen, rows.sets, spent=spent) if fit.converged and any(spent) else fit
 
     if harmonics is not None and harmonics.taken:
         learning = replace(geometric.model, priors=replace(geometric.model.priors, harmonics="learned"))
@@ -358,13 +376,13 @@ def _all_harmonics(
         return None
     progress("choosing joint terms: judging all harmonics with learned widths")
 
-    def told(of: Judged) -> tuple[HeldOut, float, bool]:
+    def told(of: Judged) -> tuple[HeldOut, Errors, bool]:
         values = offer.values(of.products, [system.columns(kept(way.order)) for way in of.ways])
-        (squares,), rms = system.squares(of.products, of.fold, values[:, None])
-        surely = better(squares, of.squares[len(entered)], of.group)
-        return held_out(squares, of.group), float(next(iter(rms.values()))[0]), surely
+        errors = system.errors(of.products, of.fold, values[:, None])
+        surely = better(errors.squares[0], of.errors.squares[len(entered)], of.group)
+        return held_out(errors.squares[0], of.group), errors, surely
 
-    held, rms, taken = told(near)
+    held, errors, taken = told(near)
     away: HeldOut | None = None
     if taken:
         progress("choosing joint terms: judging them away from what was measured")
@@ -375,7 +393,49 @@ def _all_harmonics(
     harmonics = [k for name in readings for k in by_reading[name][: offer.order]]
     every = (term for k in dict.fromkeys((*kept(entered), *harmonics)) for term in offered[k].terms)
     terms = ordered(system.robot, every)
-    return AllHarmonics(readings, offer.order, terms, held, away, rms, taken, tuple(offer.start.widths.tolist()))
+    rms, widths = float(next(iter(errors.rms.values()))[0]), tuple(offer.start.widths.tolist())
+    whole = offer.of_all(near.products, system.columns(kept(entered)))
+    (optimism,) = _optimism(system, near, errors, whole[None])
+    return AllHarmonics(readings, offer.order, terms, held, away, rms, taken, widths, optimism)
+
+
+def _optimism(system: LinearisedSystem, near: Judged, held_out: Errors, whole: Array) -> list[tuple[float, ...]]:
+    """Return, after every step and of every component, errors held out over those of what all rows find, ``whole``."""
+    by_all = np.broadcast_to(whole, (len(near.products), *whole.shape))
+    fitted = system.errors(near.products, near.fold, by_all).by_component
+    ratios = held_out.by_component[: len(fitted)] / np.where(fitted > 0.0, fitted, np.inf)
+    return [tuple(own) for own in ratios.tolist()]
+
+
+def _spent(choice: Choice, fit: Fit, folds: int) -> tuple[float, ...]:
+    """Return the degrees of freedom of every component that a choice has spent, beside those of a fit itself.
+
+    A fit to n numbers with u parameters has residuals of ``s^2 (n - u) / n`` on average, and foretells what it was not
+    fitted to with errors of ``s^2 n / (n - u)``. Where the model was chosen by the same rows, the former are smaller
+    and the latter larger than that: as if more parameters had been fitted (J. Ye, *JASA* 93, 1998). Geometry, which
+    nobody chose, says what these errors are of rows as they are here.
+    """
+    harmonics = choice.all_harmonics
+    after = (choice.steps[choice.taken] if harmonics is None or not harmonics.taken else harmonics).optimism
+    numbers = [
+        r[:, q.columns].size for r, d in zip(fit.residuals, fit.measurements, strict=True) for q in QUANTITIES[d.kind]
+    ]
+
+    def without_choice(n: int, freedom: float) -> float:
+        held = (1.0 - 1.0 / folds) * n
+        return held / max(held - (n - freedom), 1.0) * n / max(freedom, 1.0)
+
+    found = []
+    noises = zip(numbers, fit.noise_by_rows, choice.geometric.noise_by_rows, strict=True)
+    for k, (n, one, plain) in enumerate(noises):
+        as_usual = [without_choice(n, noise.degrees_of_freedom) for noise in (one, plain)]
+        before = choice.steps[0].optimism[k]
+        more = after[k] / before * as_usual[1] / as_usual[0] if before > 0.0 else 1.0
+        left = one.total if one.model > 0.0 else np.sqrt(one.chi_square) * one.instrument
+        # What the instrument's noise explains needs no other, and what is left of rows without noise is rounding.
+        shows = more > 1.0 and more * left**2 > one.total**2 > _NO_NOISE**2
+        found.append(one.degrees_of_freedom * (1.0 - 1.0 / more) if shows else 0.0)
+    return tuple(found)
 
 
 def _with_learned_widths(model: ErrorModel) -> ErrorModel:

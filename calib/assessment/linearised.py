@@ -63,19 +63,29 @@ class Way:
     values: Array
 
 
-class Judged(NamedTuple):
-    """Ways of all folds, each without its rows, and what these say of every step: ``squares`` (steps + 1, N).
+class Errors(NamedTuple):
+    """Errors of rows held out: mean ``squares`` (steps, N) of rows, and ``by_component`` (steps, c), whitened.
 
-    ``group`` (N,): from one to another errors are random. ``figures``: of every step; ``rms``: of every quantity.
+    ``rms`` (steps,): of every quantity, in SI units.
+    """
+
+    squares: Array
+    by_component: Array
+    rms: Mapping[str, Array]
+
+
+class Judged(NamedTuple):
+    """Ways of all folds, each without its rows, and the ``errors`` of these after every step (steps + 1).
+
+    ``group`` (N,): from one to another errors are random. ``figures``: of every step.
     """
 
     products: Products
     fold: IntArray
     group: IntArray
     ways: tuple[Way, ...]
-    squares: Array
+    errors: Errors
     figures: list[HeldOut]
-    rms: Mapping[str, Array]
 
     @property
     def values(self) -> Array:
@@ -219,8 +229,8 @@ class LinearisedSystem:
             progress(f"choosing joint terms: fold {k + 1} of {len(products)}")
             ways.append(self.way(products, among, without=k, steps=steps))
         progress("choosing joint terms: judging by what was held out")
-        squares, rms = self.squares(products, fold, np.stack([way.values for way in ways]))
-        return Judged(products, fold, group, tuple(ways), squares, [held_out(row, group) for row in squares], rms)
+        errors = self.errors(products, fold, np.stack([way.values for way in ways]))
+        return Judged(products, fold, group, tuple(ways), errors, [held_out(row, group) for row in errors.squares])
 
     def scatter(self, poses: Array, whole: Array, without: Array) -> Array:
         """Return how far predictions of the tool at poses (n, nr) scatter after every step (steps + 1,), in m.
@@ -296,18 +306,21 @@ class LinearisedSystem:
         values[:, entered] = sums[:, np.array(ends[1:]) - 1].T
         return Way(tuple(order), values)
 
-    def squares(self, products: Products, fold: IntArray, values: Array) -> tuple[Array, Mapping[str, Array]]:
-        """Return mean squared whitened errors (steps, N) of rows held out, and the rms (steps,) of every quantity.
+    def errors(self, products: Products, fold: IntArray, values: Array) -> Errors:
+        """Return the errors of rows held out.
 
         ``products``: of every ``fold`` (N,); ``values`` (folds, steps, p): what each has found without its own rows.
         """
+        steps, components = values.shape[1], self._problem.components
+        number = {(c.measurements, c.quantity): k for k, c in enumerate(components)}
+        squares, counts = np.zeros((steps, len(components))), np.zeros(len(components))
         found: list[Array] = []
         sums: dict[str, Array] = {}
-        counts: dict[str, int] = {}
+        rows_of: dict[str, int] = {}
         start = 0
         for i, sigma, rows, own in self._rows():
             of = fold[start : (start := start + len(rows))]
-            errors = np.empty((values.shape[1], *rows.shape[:2]))
+            errors = np.empty((steps, *rows.shape[:2]))
             for k in np.unique(of):
                 those = of == k
                 about = None if own is None else Own(own.by[those], own.block[those])
@@ -316,7 +329,10 @@ class LinearisedSystem:
                 errors[:, those] = changes.T.reshape(-1, *here.shape[:2]) + here[:, :, -1]
             found.append(np.mean(errors**2, axis=2))
             for name, _, columns in QUANTITIES[self._problem.measurements[i].kind]:
-                more = np.sum((errors[:, :, columns] * sigma[:, columns]) ** 2, axis=(1, 2))
-                sums[name] = sums.get(name, 0.0) + more
-                counts[name] = counts.get(name, 0) + len(rows)
-        return np.concatenate(found, axis=1), {name: np.sqrt(total / counts[name]) for name, total in sums.items()}
+                part, c = errors[:, :, columns], number[i, name]
+                squares[:, c] += np.sum(part**2, axis=(1, 2))
+                counts[c] += part[0].size
+                sums[name] = sums.get(name, 0.0) + np.sum((part * sigma[:, columns]) ** 2, axis=(1, 2))
+                rows_of[name] = rows_of.get(name, 0) + len(rows)
+        rms = {name: np.sqrt(total / rows_of[name]) for name, total in sums.items()}
+        return Errors(np.concatenate(found, axis=1), squares / np.maximum(counts, 1.0), rms)

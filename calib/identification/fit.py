@@ -60,6 +60,7 @@ class Fit:
     includes; ``covariance_alone`` (p, p): what it would be if all rows erred independently. ``together``: of every set,
     how rows of a photograph err together, by which they are weighed; empty where none do.
     ``earlier``: what the errors of an earlier fit do that began this one, if what that has found is held here.
+    ``spent``: degrees of freedom of every component that a choice of the model by the same rows has spent.
     ``off`` (p,): by how much values that were found in another way are off the least-squares solution, in SI units; the
     covariance includes it.
     """
@@ -95,6 +96,7 @@ class Fit:
     memories: tuple[Memory, ...] = ()
     repeats: tuple[Repeats, ...] = ()
     together: tuple[Together | None, ...] = ()
+    spent: tuple[float, ...] = ()
     off: Array | None = None
     earlier: Earlier | None = None
     alike: Machine | None = None

@@ -64,6 +64,7 @@ def identify(
     null_space: NullSpacePolicy = "nearest",
     model_sigmas: Sequence[float | None] | None = None,
     losses: Sequence[Loss] | None = None,
+    spent: Sequence[float] | None = None,
 ) -> Fit:
     """Identify the free parameters of ``model`` from one or several sets of measurements.
 
@@ -74,13 +75,15 @@ def identify(
     what exceeds a minimal set of parameters; "refuse" raises. ``model_sigmas``: standard deviations (m or rad) of what
     the model cannot explain, one for each component of the data (position, then orientation, of each set in order);
     None for one that is to be estimated. ``losses``: one for each set: "linear" for least squares, or "huber",
-    "soft_l1" or "cauchy", which give outlying rows less weight; all are linear when None.
+    "soft_l1" or "cauchy", which give outlying rows less weight; all are linear when None. ``spent``: degrees of
+    freedom, one number for each component, that a choice of the model by the same rows has spent (J. Ye, *JASA* 93,
+    1998), as :attr:`calib.judging.Choice.spent` tells: residuals are smaller than the noise by these as well.
 
     Raises JobError when nothing is free, MeasurementError when the measurements are not of this robot,
     IdentificationError when the rows are too few or when there is a null space under "refuse".
     """
     with one_thread():
-        return _identify(model, measurements, free, start, null_space, model_sigmas, losses)
+        return _identify(model, measurements, free, start, null_space, model_sigmas, losses, spent=spent)
 
 
 def _holding(fit: Fit, start: Fit, every: Sequence[Parameter]) -> Fit:
@@ -144,6 +147,7 @@ def identify_near(
     *,
     model_sigmas: Sequence[float | None] | None = None,
     losses: Sequence[Loss] | None = None,
+    spent: Sequence[float] | None = None,
 ) -> Fit:
     """Identify a model of the same arm from rows of the same machine as a fit, whose values are nearly those sought.
 
@@ -151,7 +155,7 @@ def identify_near(
     are in ``fit``, which has all of them and was begun there itself; the search goes on from its values.
     """
     with one_thread():
-        return _identify(model, measurements, None, None, "nearest", model_sigmas, losses, near=fit)
+        return _identify(model, measurements, None, None, "nearest", model_sigmas, losses, near=fit, spent=spent)
 
 
 def _identify(
@@ -165,6 +169,7 @@ def _identify(
     together: tuple[Together | None, ...] | None = None,
     near: Fit | None = None,
     placed: tuple[Placed, Fit] | None = None,
+    spent: Sequence[float] | None = None,
 ) -> Fit:
     refuse_other(null_space, ("nearest", "minimal", "refuse"), "null_space")
     whole = initial_problem(model, as_sets(measurements))
@@ -183,7 +188,8 @@ def _identify(
     nominal = _nominal(before, variances, near, placed)
 
     reference, deviations = _beginning(begin, sets[0], nominal.frames)
-    problem = replace(whole, parameters=parameters, reference=reference, held=deviations)
+    lost = _spent(spent, whole)
+    problem = replace(whole, parameters=parameters, reference=reference, held=deviations, spent_before=lost)
     before_fit = problem.residuals_of(nominal)
     x0 = values_at(model.robot, parameters, reference, deviations)
     known = None if near is None else _near(near, problem, x0)
@@ -246,6 +252,7 @@ def _identify(
         memories=memories,
         repeats=repeats,
         together=problem.together,
+        spent=lost,
     )
     fit = fit if alike is None else _told_once(fit, problem, alike)
     # Of fits alike, which only compare, nobody asks how sure they are.
@@ -535,6 +542,16 @@ def _stated(model_sigmas: Sequence[float | None] | None) -> tuple[float | None, 
     return None if model_sigmas is None else tuple(None if s is None else s**2 for s in model_sigmas)
 
 
+def _spent(spent: Sequence[float] | None, problem: Problem) -> tuple[float, ...]:
+    """Return the degrees of freedom that a choice has spent. Raises JobError when they cannot be."""
+    if spent is None:
+        return ()
+    if len(spent) != len(problem.components) or not all(0.0 <= one < np.inf for one in spent):
+        many = counted(len(problem.components), "component")
+        raise JobError(f"spent: {list(spent)!r} is no list of degrees of freedom, 0 or more, of {many} of the data.")
+    return tuple(float(one) for one in spent)
+
+
 def _refuse_nowhere(sets: Sequence[Measurements], machine: Machine) -> None:
     """Raise IdentificationError where a search has ended at what cannot be: a far tool, no focal length."""
     frames, place, focal = machine.frames, "position, station, point", "fx, fy"
@@ -670,7 +687,14 @@ def with_values(fit: Fit, values: Array, machine: Machine) -> Fit:
     """
     frames = machine.frames
     problem = Problem(
-        fit.model, fit.parameters, frames, fit.measurements, fit.machine.deviations, fit.model.relations, fit.losses
+        fit.model,
+        fit.parameters,
+        frames,
+        fit.measurements,
+        fit.machine.deviations,
+        fit.model.relations,
+        fit.losses,
+        spent_before=fit.spent,
     )
     with one_thread():
         x = values_at(fit.model.robot, fit.parameters, frames, machine.deviations)

@@ -34,6 +34,10 @@ class LeastSquares(Protocol):
         """The groups of residuals that share a noise model."""
 
     @property
+    def spent(self) -> Sequence[float]:
+        """Degrees of freedom of every component that a choice of the model by the same rows has spent."""
+
+    @property
     def losses(self) -> Sequence[Loss]:
         """The loss of every set."""
 

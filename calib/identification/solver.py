@@ -38,6 +38,8 @@ _ROUNDING = 1e-10
 # Levenberg-Marquardt brings the search near; the last digits are left to Gauss-Newton. Weak priors hold what else would
 # be far, and what the data hardly tell is then left to steps that correct themselves.
 _ROUGH, _MOST_ROUGH_STEPS, _MOST_WITH_WEAK_PRIORS = 1e-3, 10, 3
+# What a choice of the model leaves of the degrees of freedom of a component.
+_LEAST_FREEDOM = 1.0
 # A whitened residual beyond all others.
 _NOWHERE = 1e12
 # Costs are the same within rounding; a step is clearly better, or as good in spite of its cost.
@@ -417,9 +419,12 @@ class _Search(NamedTuple):
         components, whole = evaluation.reweighted(noise.factors).rows
         rows = prior.beside(whole, z)
         inverse = Inverse.of(rows)
-        redundancies = tuple(
+        left = [
             self.problem.measurements[c.measurements].sigma[:, c.columns].size - inverse.used(own)
             for c, own in zip(self.problem.components, components, strict=True)
+        ]
+        redundancies = tuple(
+            max(own - spent, min(own, _LEAST_FREEDOM)) for own, spent in zip(left, self.problem.spent, strict=True)
         )
         return noise._replace(prior=prior, redundancies=redundancies), _Solved(whole, rows, inverse.step)
 

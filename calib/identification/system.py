@@ -57,6 +57,7 @@ class Problem:
     ``held``: deviations of the robot where they are not free; zero when None. ``relations``: what is known between
     targets. ``given_losses``: one for each set; least squares for all when None. ``nominals``: what does not follow the
     unknowns, made once. ``together``: of every set, how rows of a photograph err together; none do where it is empty.
+    ``spent_before``: as :attr:`spent`; nothing where it is empty.
     """
 
     model: ErrorModel
@@ -68,6 +69,12 @@ class Problem:
     given_losses: tuple[Loss, ...] | None = None
     nominals: Nominals = field(default_factory=Nominals)
     together: tuple[Together | None, ...] = ()
+    spent_before: tuple[float, ...] = ()
+
+    @property
+    def spent(self) -> tuple[float, ...]:
+        """Degrees of freedom of every component that a choice of the model by the same rows has spent."""
+        return self.spent_before or (0.0,) * len(self.components)
 
     @property
     def losses(self) -> tuple[Loss, ...]:

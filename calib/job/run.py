@@ -4,8 +4,8 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from glob import escape
-from itertools import chain
-from typing import TYPE_CHECKING
+from itertools import chain, islice
+from typing import TYPE_CHECKING, TypeVar
 
 from calib.assessment.blame import blame
 from calib.assessment.metrics import Metrics, metrics
@@ -25,6 +25,8 @@ from calib.results.calibration import Calibration, LevelReport, Origin, assess
 if TYPE_CHECKING:
     from calib.assessment.choice import Choice
 
+_Number = TypeVar("_Number", bound=float | None)
+
 
 def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
     """Identify, and judge by the data held out."""
@@ -32,7 +34,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
         choice = _choose(inputs, progress)
         if choice is not None:
             inputs = replace(inputs, model=choice.model)
-        fit, reports = _climb(inputs, progress)
+        fit, reports = _climb(inputs, choice, progress)
         inputs = replace(inputs, findings=(*inputs.findings, *_left_behind(fit, inputs)))
         known, values, remark = residual_model(inputs, fit, progress)
         if remark is not None:
@@ -102,15 +104,23 @@ def _follow(inputs: Inputs) -> Trace:
         )
 
 
-def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, ...]]:
-    """Identify level by level, or all at once where the job has no levels."""
+def _climb(inputs: Inputs, choice: "Choice | None", progress: Progress) -> tuple[Fit, tuple[LevelReport, ...]]:
+    """Identify level by level, or all at once where the job has no levels, after a choice of joint terms, if any."""
     policy = inputs.job.error_model.null_space
+    spent = iter(() if choice is None else choice.spent)
+    spent_by_set = [tuple(islice(spent, len(group))) for group in inputs.model_sigmas]
     if not inputs.job.levels:
         progress("identifying")
-        sigmas = _flat(inputs.model_sigmas)
-        fit = identify(inputs.model, inputs.identify, null_space=policy, model_sigmas=sigmas, losses=inputs.losses)
+        fit = identify(
+            inputs.model,
+            inputs.identify,
+            null_space=policy,
+            model_sigmas=_flat(inputs.model_sigmas),
+            losses=inputs.losses,
+            spent=_flat(spent_by_set) or None,
+        )
         return _knowing(fit, inputs), ()
-    given = zip(inputs.identify, inputs.model_sigmas, inputs.losses, strict=True)
+    given = zip(inputs.identify, inputs.model_sigmas, inputs.losses, spent_by_set, strict=True)
     by_file = dict(zip(inputs.tables("identify"), given, strict=True))
     found: Fit | None = None
     reports: list[LevelReport] = []
@@ -119,15 +129,16 @@ def _climb(inputs: Inputs, progress: Progress) -> tuple[Fit, tuple[LevelReport, 
             continue
         progress(f"identifying level {level.name}")
         chosen = [by_file[file] for file in level.measurements or by_file]
-        sets = [data for data, _, _ in chosen]
+        sets = [data for data, _, _, _ in chosen]
         found = identify(
             inputs.model.within(sets),
             sets,
             free=level.free,
             start=found,
             null_space=policy,
-            model_sigmas=_flat(group for _, group, _ in chosen),
-            losses=[loss for _, _, loss in chosen],
+            model_sigmas=_flat(group for _, group, _, _ in chosen),
+            losses=[loss for _, _, loss, _ in chosen],
+            spent=_flat(lost for _, _, _, lost in chosen) or None,
         )
         found = _knowing(found, inputs)
         reports.append(LevelReport(level.name, len(found.parameters), found.rank, _judge(inputs, found)))
@@ -157,8 +168,8 @@ def _knowing(fit: Fit, inputs: Inputs) -> Fit:
     return replace(fit, model=replace(fit.model, targets=inputs.whole_model.targets, setups=inputs.whole_model.setups))
 
 
-def _flat(groups: Iterable[tuple[float | None, ...]]) -> list[float | None]:
-    return [sigma for group in groups for sigma in group]
+def _flat(groups: Iterable[tuple[_Number, ...]]) -> list[_Number]:
+    return [number for group in groups for number in group]
 
 
 def _judge(inputs: Inputs, fit: Fit) -> Mapping[str, Metrics]:

@@ -1,5 +1,6 @@
 """The choice of joint terms: what is there is found, what is not there is not, and the short cut is the long way."""
 
+import sys
 import time
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from calib.assessment import linearised
 from calib.assessment.choice import candidates, choose_terms
 from calib.assessment.linearised import Candidate, LinearisedSystem
 from calib.assessment.validation import cross_validate
+from calib.foundations.chance import bound
 from calib.foundations.errors import IdentificationError
 from calib.identification.arrow import Split
 from calib.identification.error_model import with_terms
@@ -58,6 +60,53 @@ def test_a_machine_without_terms_is_given_none(n: int, observes: str) -> None:
         assert choice.taken == 0
         assert choice.terms == ()
         assert choice.model.parameters() == model.parameters()
+
+
+def many_small_waves(seed: int) -> dict[tuple[int, int], float]:
+    rng = np.random.default_rng([seed, 5])
+    return {(joint, order): float(10 ** rng.uniform(-4.6, -3.7)) for joint in range(6) for order in range(1, 9)}
+
+
+def inside(fit: calib.Fit, true: machines.Machine) -> float:
+    """The share of 300 true positions that are in their 95 % regions."""
+    readings = true.arm.draw(np.random.default_rng(1), 300)
+    told = calib.judging.tool_uncertainty(calib.machine_of(fit), readings)
+    off = (machines.predicted(fit, readings) - true.see(readings))[:, :3, 3]
+    squares = np.einsum("ni,ni->n", off, np.linalg.solve(told.covariance[:, :3, :3], off[:, :, None])[..., 0])
+    return float(np.mean(squares <= bound(0.95, 3, told.degrees_of_freedom)))
+
+
+def test_what_a_choice_has_spent_is_in_the_noise_and_regions_hold() -> None:
+    """scripts/studies/chosen_regions.py has more of them."""
+    held, before = [], []
+    for seed in range(6):
+        model, data, true = measured(seed, 100, many_small_waves(seed))
+        choice = choose_terms(model, data)
+        assert len(choice.terms) > 10
+        plain = calib.identify(choice.model, data)
+        again = calib.identify(choice.model, data, spent=choice.spent or None)
+        np.testing.assert_allclose(again.noise[0].total, choice.fit.noise[0].total, rtol=1e-3)
+        held.append(inside(choice.fit, true))
+        before.append(inside(plain, true))
+    assert np.mean(held) > 0.93
+    assert np.mean(before) < 0.91
+
+
+def test_terms_that_nobody_had_to_search_for_spend_little() -> None:
+    waves = {(0, 5): 3e-4, (1, 3): 3e-4, (2, 7): 3e-4, (3, 4): 3e-4}
+    model, data, _ = measured(1, 250, waves)
+    choice = choose_terms(model, data)
+    assert choice.terms
+    assert sum(choice.spent) < 0.05 * len(data) * 3
+
+
+@pytest.mark.parametrize("observes", ["position", "pose"])
+def test_rows_without_noise_are_chosen_from_as_well(observes: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "SIGMA", 0.0)
+    model, data, true = measured(3, 80, {(0, 5): 2e-4, (1, 3): 2e-4, (2, 7): 2e-4, (3, 4): 3e-4}, observes)
+    choice = choose_terms(model, data)
+    assert machines.miss(choice.fit, true, true.arm.draw(np.random.default_rng(0), 100)) < 1e-6
+    assert not any(choice.spent)
 
 
 def test_what_is_there_is_found_and_little_else() -> None:

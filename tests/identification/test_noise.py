@@ -110,3 +110,32 @@ def test_robust_losses_give_back_what_they_take_from_ordinary_rows(loss: str) ->
     data = true.measure(robot, arm.draw(rng, 600), rng=rng, sigma=0.05e-3, stated=(0.0, 0.0))
     fit = calib.identify(calib.error_model(robot, offsets=["elbow_joint"]), data, losses=[loss])
     assert fit.noise[0].total == pytest.approx(0.05e-3, rel=0.05)
+
+
+def test_degrees_of_freedom_that_a_choice_has_spent_widen_noise_and_sigmas_alone() -> None:
+    rng = np.random.default_rng(4)
+    arm, robot = machines.arm(*UR10), machines.load(*UR10)
+    true = Machine(arm.moved(rng), machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))})
+    seen = true.measure(robot, arm.draw(rng, 60), "position", rng=rng, sigma=1e-4, stated=(0.0, 0.0))
+    model = calib.error_model(robot, offsets="all")
+    plain = calib.identify(model, seen)
+    freedom = plain.noise[0].degrees_of_freedom
+    less = calib.identify(model, seen, spent=[0.75 * freedom])
+    assert less.spent == (0.75 * freedom,)
+    assert less.noise[0].total == pytest.approx(2.0 * plain.noise[0].total, rel=1e-4)
+    assert less.noise[0].degrees_of_freedom == pytest.approx(0.25 * freedom, rel=1e-4)
+    known = ~plain.unidentifiable
+    np.testing.assert_allclose(less.spread.variances[known], 4.0 * plain.spread.variances[known], rtol=1e-3)
+    assert np.all(np.abs(less.values - plain.values)[known] < 0.01 * plain.sigmas[known])
+    # More than there are leave one.
+    assert calib.identify(model, seen, spent=[1e6]).noise[0].degrees_of_freedom == 1.0
+
+
+@pytest.mark.parametrize("spent", [[-1.0], [float("nan")], [float("inf")], [], [1.0, 1.0]])
+def test_degrees_of_freedom_that_cannot_be_spent_are_refused(spent: list[float]) -> None:
+    rng = np.random.default_rng(4)
+    arm, robot = machines.arm(*UR10), machines.load(*UR10)
+    true = Machine(arm, machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))})
+    data = true.measure(robot, arm.draw(rng, 20), "position", rng=rng, sigma=1e-4)
+    with pytest.raises(calib.JobError, match=r"spent: .* is no list of degrees of freedom, 0 or more, of 1 component"):
+        calib.identify(calib.error_model(robot, offsets="all"), data, spent=spent)
