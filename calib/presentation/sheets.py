@@ -93,6 +93,8 @@ def choice_sheet(choice: "Choice") -> Sheet:
         some += f"; {choice.taken_back} more are taken back, as no fit with them converges"
     if choice.weighed is not None:
         some += f"; {choice.weighed.sentence}"
+    if any(choice.spent):
+        some += f"; the choice costs {sum(choice.spent):.0f} degrees of freedom beside those of its coefficients"
     quantity = next(iter(steps[0].rms))
     factor, unit = SHOWN[UNIT_OF[quantity]]
     least = min(range(len(steps)), key=lambda k: steps[k].held_out.rms)

@@ -1,16 +1,21 @@
 """Do stated regions hold the truth where terms were chosen? Simulated machines: a table of docs/assessment.md.
 
     python scripts/studies/chosen_regions.py [--machines 40] [--markdown docs/assessment.md]
+    python scripts/studies/chosen_regions.py --machines 20 --dataset <ur10_leica folder> [--markdown docs/assessment.md]
 
 A UR10 is simulated, each time with other errors, and measured at random poses of a box of joint space; 0.05 mm of noise
 are stated. Its gears are uneven in four orders (few), in eight orders of every joint (low), or in all orders up to 40
 (many). Joint terms are chosen by ``calib.judging.choose_terms``. At 300 other poses of that box the true position is
 compared with the stated 95 % region: by the fit of the choice, and by one with the same terms to the same rows that
 counts them as if nobody had chosen them. The simulation shares no mathematics with the toolkit.
+
+With ``--dataset`` the rows are some of those of a real UR10, taken at random, and 300 others take the place of the
+truth: positions that a laser tracker measured.
 """
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,6 +28,7 @@ import calib
 from calib.assessment.choice import choose_terms
 from calib.foundations.chance import bound
 from calib.foundations.linear import one_thread
+from scripts.examples.ur10_leica_job import read, table_columns
 from scripts.studies.blame import write
 from tests.support import machines
 from tests.support.gears import UR10, geared
@@ -30,6 +36,10 @@ from tests.support.gears import UR10, geared
 Array = NDArray[np.float64]
 
 KINDS, ROWS, SIGMA, UNSEEN = ("few", "low", "many"), (60, 100, 200, 400), 5e-5, 300
+REAL, REAL_END = (
+    "<!-- chosen, a real UR10: by scripts/studies/chosen_regions.py -->",
+    "<!-- chosen, a real UR10: end -->",
+)
 BEGIN, END = "<!-- chosen: by scripts/studies/chosen_regions.py -->", "<!-- chosen: end -->"
 
 
@@ -71,22 +81,39 @@ def machine(seed: int, kind: str, rows: int) -> Told:
     def box(n: int) -> Array:
         return np.asarray(np.clip(centre + rng.uniform(-half, half, (n, 6)), -np.pi, np.pi))
 
-    data = true.measure(robot, box(rows), "position", rng=rng, sigma=SIGMA)
+    data, elsewhere = true.measure(robot, box(rows), "position", rng=rng, sigma=SIGMA), box(UNSEEN)
+    return told(robot, data, elsewhere, true.see(elsewhere)[:, :3, 3])
+
+
+def measured(folder: Path) -> calib.Measurements:
+    """Return the positions of the real arm."""
+    return calib.read_measurements(table_columns(read(folder), "position"), machines.load(*UR10))
+
+
+def some_of(data: calib.Measurements, seed: int, _kind: str, rows: int) -> Told:
+    """Some rows of the real arm, the choice, and what regions say of others."""
+    order = np.random.default_rng([seed, rows]).permutation(len(data))
+    rest = data.subset(order[rows : rows + UNSEEN])
+    assert rest.position is not None, "a laser tracker measures positions"
+    return told(machines.load(*UR10), data.subset(order[:rows]), rest.readings, rest.position)
+
+
+def told(robot: calib.Robot, data: calib.Measurements, readings: Array, positions: Array) -> Told:
+    """Return what regions of a choice say at readings (N, 6), where positions (N, 3) are known."""
     choice = choose_terms(calib.error_model(robot, offsets="all", placements="all"), data)
-    elsewhere = box(UNSEEN)
-    given = regions(calib.identify(choice.model, data), true, elsewhere)
-    chosen = regions(choice.fit, true, elsewhere)
+    given = regions(calib.identify(choice.model, data), readings, positions)
+    chosen = regions(choice.fit, readings, positions)
     return Told(len(choice.terms), given[0], chosen[0], given[1], chosen[1])
 
 
-def regions(fit: calib.Fit, true: machines.Machine, readings: Array) -> tuple[float, float]:
+def regions(fit: calib.Fit, readings: Array, positions: Array) -> tuple[float, float]:
     """Return the share of 95 % regions that hold the true position, and stated over true errors."""
-    told = calib.judging.tool_uncertainty(calib.machine_of(fit), readings)
-    covariance = told.covariance[:, :3, :3]
-    off = (machines.predicted(fit, readings) - true.see(readings))[:, :3, 3]
+    found = calib.judging.tool_uncertainty(calib.machine_of(fit), readings)
+    covariance = found.covariance[:, :3, :3]
+    off = machines.predicted(fit, readings)[:, :3, 3] - positions
     squares = np.einsum("ni,ni->n", off, np.linalg.solve(covariance, off[:, :, None])[..., 0])
     stated = np.mean(np.trace(covariance, axis1=1, axis2=2))
-    holds = squares <= bound(0.95, 3, told.degrees_of_freedom)
+    holds = squares <= bound(0.95, 3, found.degrees_of_freedom)
     return float(np.mean(holds)), float(np.sqrt(stated / np.mean(np.sum(off**2, axis=1))))
 
 
@@ -111,16 +138,20 @@ def main() -> int:
     """Simulate, print, and write the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--machines", type=int, default=40, help="of every kind and number of rows")
+    parser.add_argument("--dataset", type=Path, help="folder of the measurements of a real UR10")
     parser.add_argument("--markdown", type=Path, help="the page of the table")
     given = parser.parse_args()
+    find, kinds, marks = machine, KINDS, (BEGIN, END)
+    if given.dataset is not None:
+        find, kinds, marks = partial(some_of, measured(given.dataset)), ("of a real UR10",), (REAL, REAL_END)
     found: dict[tuple[str, int], list[Told]] = {}
     with one_thread():
-        for kind in KINDS:
+        for kind in kinds:
             for rows in ROWS:
-                found[kind, rows] = [machine(seed, kind, rows) for seed in range(given.machines)]
+                found[kind, rows] = [find(seed, kind, rows) for seed in range(given.machines)]
                 print(table({(kind, rows): found[kind, rows]}).splitlines()[-1], flush=True)
     if given.markdown is not None:
-        write(given.markdown, table(found), BEGIN, END)
+        write(given.markdown, table(found), *marks)
     return 0
 
 
