@@ -36,10 +36,7 @@ from tests.support.gears import UR10, geared
 Array = NDArray[np.float64]
 
 KINDS, ROWS, SIGMA, UNSEEN = ("few", "low", "many"), (60, 100, 200, 400), 5e-5, 300
-REAL, REAL_END = (
-    "<!-- chosen, a real UR10: by scripts/studies/chosen_regions.py -->",
-    "<!-- chosen, a real UR10: end -->",
-)
+REAL, REAL_END = "<!-- chosen, a UR10: by scripts/studies/chosen_regions.py -->", "<!-- chosen, a UR10: end -->"
 BEGIN, END = "<!-- chosen: by scripts/studies/chosen_regions.py -->", "<!-- chosen: end -->"
 
 
