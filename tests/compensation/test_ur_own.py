@@ -121,6 +121,26 @@ def test_of_another_model() -> None:
         with_ur_kinematics(read_urdf("example:panda_description/urdf/panda.urdf"), conf(deltas), "k")
 
 
+def test_of_the_next_series() -> None:
+    """Of a UR3e, whose axes stand as those of a UR3 do, but for 19 mm at the wrist."""
+    nominal = read_urdf("example:ur_description/urdf/ur3_robot.urdf")
+    yaml = "".join(
+        f"{link}:\n  x: {x}\n  y: {y}\n  z: {z}\n  roll: {r}\n  pitch: {p}\n  yaw: {p}\n"
+        for link, x, y, z, r, p in (
+            ("shoulder", 0, 0, 0.15185, 0, 0),
+            ("upper_arm", 0, 0, 0, 1.570796327, 0),
+            ("forearm", -0.24355, 0, 0, 0, 0),
+            ("wrist_1", -0.2132, 0, 0.13105, 0, 0),
+            ("wrist_2", 0, -0.08535, 0, 1.570796327, 0),
+            ("wrist_3", 0, 0.0921, 0, 1.570796326589793, 3.141592653589793),
+        )
+    )
+    with pytest.raises(RobotError, match="the axis of wrist_2_joint is not near that of "):
+        with_ur_kinematics(nominal, yaml, "k")
+    own = yaml.replace("0.13105", "0.1129").replace("0.0921", "0.0824")
+    assert with_ur_kinematics(nominal, own, "k") != nominal.source
+
+
 @pytest.mark.parametrize("text", ["\n" * 100_000, " " * 100_000, "delta_a = [\n" * 10_000, "shoulder:\n" * 10_000])
 def test_files_of_nothing_are_refused_at_once(text: str) -> None:
     begun = time.process_time()

@@ -29,8 +29,9 @@ _DELTA = re.compile(r"(?m)^[ \t]*delta_(theta|a|d|alpha)[ \t]*=[ \t]*\[([^\[\]=]
 _LINK = re.compile(r"^\s*(shoulder|upper_arm|forearm|wrist_1|wrist_2|wrist_3)\s*:\s*$")
 _VALUE = re.compile(rf"^\s*(x|y|z|roll|pitch|yaw)\s*:\s*({NUMBER.pattern})\s*$")
 _ALPHA = (0.5 * np.pi, 0.0, 0.0, 0.5 * np.pi, -0.5 * np.pi, 0.0)
-# An axis that is farther from the model's is another model's, in m and rad.
-_FARTHEST, _MOST_TURNED = 0.05, 0.1
+# An axis that is farther from the model's, as a share of the arm's length and in rad, is another model's: the wrists of
+# UR3 and UR3e, of half a metre both, differ by 19 mm.
+_FARTHEST, _MOST_TURNED = 0.03, 0.1
 _LARGEST = 1e6
 
 
@@ -57,12 +58,13 @@ def with_ur_kinematics(nominal: Urdf, text: str, where: str = "kinematics") -> b
     except OutputError as e:
         raise RobotError(str(e)) from e
     frames = _of_conf(text, ur.origins_of(zero @ slides), where) if _DELTA.search(text) else _of_yaml(text, where)
+    farthest = _FARTHEST * float(np.linalg.norm(tool[:3, 3]))
     own = np.stack([_on_axis(old, new) for old, new in zip(zero, frames[:-1], strict=True)])
     for joint, old, new in zip(ur.JOINTS, zero, own, strict=True):
         turned = float(np.linalg.norm(np.cross(old[:3, 2], new[:3, 2])))
-        if np.linalg.norm(old[:3, 3] - new[:3, 3]) > _FARTHEST or turned > _MOST_TURNED or old[:3, 2] @ new[:3, 2] < 0:
+        if np.linalg.norm(old[:3, 3] - new[:3, 3]) > farthest or turned > _MOST_TURNED or old[:3, 2] @ new[:3, 2] < 0:
             raise RobotError(f"{where}: the axis of {joint} is not near that of {nominal.where}; is it of this model?")
-    if np.linalg.norm(tool[:3, 3] - frames[-1][:3, 3]) > _FARTHEST:
+    if np.linalg.norm(tool[:3, 3] - frames[-1][:3, 3]) > farthest:
         raise RobotError(f"{where}: the tool is not near that of {nominal.where}; is it of this model?")
     return splice_origins(nominal.source, _origins(nominal, prefix, own, frames[-1]), nominal.where)
 
