@@ -140,11 +140,15 @@ class Sight:
         if not 0.0 <= self.nearest < self.farthest:
             raise JobError(f"range: from {self.nearest:g} m to {self.farthest:g} m holds no distance.")
 
+    @checked
     def sees(self, tips: Array, points: Array) -> tuple[BoolArray, BoolArray]:
         """Return which reflectors face the tracker, and which are in range.
 
         ``tips`` (N, 4, 4): the tip link, and ``points`` (N, 3): the reflector, in the instrument's frame.
+        Raises JobError for other shapes.
         """
+        refuse_shape(tips, (None, 4, 4), "tips")
+        refuse_shape(points, (len(tips), 3), "points")
         to_tracker = np.asarray(self.station) - points
         distance = np.linalg.norm(to_tracker, axis=1)
         within = (distance >= self.nearest) & (distance <= self.farthest)

@@ -27,6 +27,7 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near, residuals_of
 from calib.identification.losses import Loss, refuse_losses
+from calib.identification.weights import refuse_number_of_sigmas
 from calib.measurement.kinds import QUANTITIES, Kind
 from calib.measurement.measurements import Measurements, as_sets
 from calib.measurement.poses import ONE_POSE, both_ends
@@ -416,6 +417,8 @@ class ChosenRows:
 
     def __post_init__(self) -> None:
         refuse_losses(self.losses, len(self.sets))
+        if self.model_sigmas is not None:  # of too many, each part would take those that its place gives it
+            refuse_number_of_sigmas(self.model_sigmas, sum(len(QUANTITIES[data.kind]) for data in self.sets))
 
     def some(self, chosen: Sequence[BoolArray]) -> "ChosenRows":
         """Return the rows chosen by a mask (N,) of every set.

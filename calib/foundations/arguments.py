@@ -28,6 +28,8 @@ _R = TypeVar("_R")
 _STANDS_FOR = {"f": "fiub", "i": "iu", "b": "b"}
 _ELEMENTS = {"f": "numbers", "i": "whole numbers", "b": "bools"}
 _PLAIN = MappingProxyType({str: "a text", bytes: "bytes", float: "a number", int: "a whole number", bool: "a bool"})
+# Lists in lists that NumPy makes an array of.
+_DEEPEST = 64
 _Test = Callable[[Any], bool]
 _IN_ORDER = (abc.Sequence, list)
 _SEQUENCES = (*_IN_ORDER, abc.Collection, abc.Iterable)
@@ -204,7 +206,7 @@ def _is_array_like(hint: Any) -> bool:
 
 def _is_numbers(value: Any) -> bool:
     try:
-        odd = value is None or is_masked(value) or _has_named_columns(value)
+        odd = value is None or is_masked(value) or _in_lists(_has_named_columns, value)
         return not odd and np.asarray(value).dtype.kind in _STANDS_FOR["f"]
     except (TypeError, ValueError):  # lists of several lengths
         return False
@@ -224,9 +226,16 @@ def _has_named_columns(value: object) -> bool:
 
 
 def is_masked(value: object) -> bool:
-    """Tell whether an array says that some of its numbers are none; nobody here would listen."""
+    """Tell whether an array, or one in a list of rows, says that some of its numbers are none; nobody would listen."""
     # Where nobody has loaded them, there are none: to load them takes a fifth of what all of NumPy does.
-    return "numpy.ma" in sys.modules and isinstance(value, np.ma.MaskedArray)
+    return "numpy.ma" in sys.modules and _in_lists(lambda one: isinstance(one, np.ma.MaskedArray), value)
+
+
+def _in_lists(test: _Test, value: object, depth: int = _DEEPEST) -> bool:
+    """Tell whether a test holds of a value, or of one in its lists: what makes an array of all knows nothing of it."""
+    if isinstance(value, list | tuple):
+        return depth > 0 and any(_in_lists(test, one, depth - 1) for one in value if not isinstance(one, float | int))
+    return bool(test(value))
 
 
 def _is_float(value: Real) -> bool:
@@ -312,7 +321,8 @@ def told(value: object) -> str:
         kind = "a masked array" if is_masked(value) else "a matrix" if _is_odd(value) else "an array"
         return f"{kind} of {value.dtype}"
     if isinstance(value, list | tuple):
-        return shortened(f"a {name} of {', '.join(dict.fromkeys(type(one).__name__ for one in value))}")
+        kinds = "masked numbers" if is_masked(value) else ", ".join(dict.fromkeys(type(one).__name__ for one in value))
+        return shortened(f"a {name} of {kinds}")
     return f"{_article(name)} {name}{', whose columns have names' if _has_named_columns(value) else ''}"
 
 

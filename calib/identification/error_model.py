@@ -132,6 +132,7 @@ class ErrorModel:
             return self.setups.get(setup)
         return SetUp(self.base_pose)
 
+    @checked
     def parameters(
         self, tools: Sequence[str] = (ONLY_TOOL,), setups: Sequence[str] = (ONLY_SETUP,)
     ) -> tuple[Parameter, ...]:

@@ -252,6 +252,7 @@ class Fit:
         own = self.measurements[0]
         return set(data.tools) <= set(own.tools) and set(data.setups) <= set(own.setups)
 
+    @checked
     def value(self, name: str) -> float:
         """Return the value of a parameter in SI units. Raises KeyError for an unknown name."""
         for parameter, value in zip(self.parameters, self.values, strict=True):

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from calib.foundations.arrays import Array, BoolArray
-from calib.foundations.errors import IdentificationError, JobError, PoseError
+from calib.foundations.errors import IdentificationError, PoseError
 from calib.foundations.linear import ROUNDING
 from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow, Covariance, Inverse, Reduced, Split
@@ -129,8 +129,7 @@ def seek(
     """
     s = scales(problem.parameters)
     fixed = (None,) * len(problem.components) if variances is None else tuple(variances)
-    if len(fixed) != len(problem.components):
-        raise JobError(f"{len(fixed)} model sigmas are given for {len(problem.components)} components of the data.")
+    weights.refuse_number_of_sigmas(fixed, len(problem.components))
     search = _Search(problem, _Evaluator(problem, s), _Prior.of(problem, x0 / s), fixed)
     begin = search.beginning()
     # Of the start only what all rows say together is asked for again.

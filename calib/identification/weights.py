@@ -6,6 +6,8 @@ import numpy as np
 import scipy
 
 from calib.foundations.arrays import Array
+from calib.foundations.errors import JobError
+from calib.foundations.words import counted
 from calib.identification import losses
 from calib.identification.least_squares import LeastSquares
 from calib.identification.noise import RARELY, model_variance
@@ -18,6 +20,12 @@ _PIXEL_NOISE, _NOISE = 0.1, 1e-4
 _LEAST_SIGMA = 1e-15
 # Beside weak priors it must be more than rounding: this share of the noise above.
 _ROUNDING = 1e-5
+
+
+def refuse_number_of_sigmas(sigmas: Sequence[float | None], components: int) -> None:
+    """Raise JobError where there is not one for each component of the data."""
+    if len(sigmas) != components:
+        raise JobError(f"{len(sigmas)} model sigmas are given for {counted(components, 'component')} of the data.")
 
 
 def sigmas_of(

@@ -259,6 +259,7 @@ class CalibratedMachine:
             )
         return self.uncertainty
 
+    @checked
     def tool_named(self, tool: str) -> str:
         """Return the name of a tool. Raises MeasurementError when there is none of this name."""
         if tool not in self.tools:

@@ -50,6 +50,7 @@ class TouchingArm:
         refuse_beyond(self.point, "position, station, point", "touching arm: point")
         refuse_beyond(self.sigma, "instruments.sigma", "touching arm: sigma")
 
+    @checked
     def points(self, readings: Array, conditions: Conditions = NO_CONDITIONS) -> Array:
         """Return the tool points (N, 3) in the base link at readings (N, nr), with what a residual model adds."""
         T = self.machine.tips(readings, conditions)

@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from calib.foundations.arguments import own_fields
+from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
@@ -79,8 +79,10 @@ class Board:
             and np.array_equal(self.marks, other.marks)
         )
 
+    @checked
     def numbers(self, places: Array) -> IntArray:
-        """Return which of the marks (n,) are at places (n, 3); -1 for none."""
+        """Return which of the marks (n,) are at places (n, 3); -1 for none. Raises JobError for other shapes."""
+        refuse_shape(places, (None, 3), "places")
         found = np.full(len(places), -1, dtype=np.intp)
         step = max(_PAIRS // max(len(self.marks), 1), 1)
         for start in range(0, len(places), step):

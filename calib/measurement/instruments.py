@@ -6,11 +6,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from calib.foundations.arguments import own_fields
+from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
-from calib.foundations.ranges import refuse_beyond
+from calib.foundations.ranges import refuse_beyond, refuse_shape
 from calib.foundations.units import DEG
 from calib.foundations.words import refuse_other
 from calib.measurement.lens import CENTRE, FOCAL, NAMES, Lens
@@ -44,8 +44,10 @@ class LaserTracker:
         refuse_beyond(self.sigma_per_metre, "sigma_per_metre", "laser tracker: sigma_per_metre")
         refuse_beyond(self.station, "position, station, point", "laser tracker: station")
 
+    @checked
     def sigma_at(self, points: Array) -> Array:
-        """Return the standard deviation (N), in m, of each coordinate of points (N, 3), in m."""
+        """Return the standard deviation (N), in m, of each coordinate of points (N, 3), in m. Raises JobError."""
+        refuse_shape(points, (None, 3), "points")
         distance = np.linalg.norm(points - np.asarray(self.station), axis=-1)
         return np.asarray(self.sigma + self.sigma_per_metre * distance)
 

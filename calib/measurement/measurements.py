@@ -270,11 +270,12 @@ class Measurements:
             target_links=links,
         )
 
+    @checked
     def at(self, setup: str) -> "Measurements":
         """Return the rows of one set-up, as if there were no other; there may be none."""
         rows = np.isin(self.setup, [k for k, name in enumerate(self.setups) if name == setup])
         found = self.subset(rows)
-        return replace(found, setups=(ONLY_SETUP,), setup=np.zeros(len(found), dtype=np.intp))
+        return replace(found, setups=(ONLY_SETUP,), setup=read_only_view(np.zeros(len(found), dtype=np.intp)))
 
     def with_own_names(self) -> "Measurements":
         """Return the measurements with those of ``tools``, ``setups`` and ``targets`` alone that some row has.

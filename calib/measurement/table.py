@@ -297,7 +297,7 @@ def table_from_arrays(
 
 
 def _column(values: npt.ArrayLike, where: str) -> npt.NDArray[Any]:
-    if is_masked(values):  # whose numbers behind the mask are not told from others
+    if is_masked(values):  # numbers behind a mask are not told from others
         raise MeasurementError(f"{where} is {told(values)}; leave its rows out, or give them a number.")
     try:
         return np.asarray(values)

@@ -46,6 +46,7 @@ class RelativeBase:
         """3D rms of the residuals, in m."""
         return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
 
+    @checked
     def sigma_at(self, points_b: npt.ArrayLike) -> Array:
         """Return the expected 3D error (rms, m) of carrying points (N, 3) from b to a, to first order."""
         x = finite(points_b, (None, 3), "the points to carry must be finite numbers (N, 3), in m.")

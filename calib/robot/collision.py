@@ -105,6 +105,7 @@ class SelfCollision:
     pairs: tuple[tuple[int, int], ...]
     notes: tuple[str, ...]
 
+    @checked
     def colliding(self, readings: Array, effort: "Effort | None" = None) -> BoolArray:
         """Return at which of the readings (N, nr) in rad and m the robot, as its URDF has it, touches itself.
 
@@ -121,6 +122,7 @@ class SelfCollision:
             found[start + rows] = False
         return found
 
+    @checked
     def without_lasting(self, readings: Array) -> "SelfCollision":
         """Return the same without pairs of bodies that touch at all of the readings (N, nr), said in the notes."""
         poses = _Poses(self.robot, self.shapes, readings, Effort(self.robot, len(readings)))

@@ -276,6 +276,7 @@ class Robot:
             )
         return replace(self, tip=link, tip_joint=self.carrier(link))
 
+    @checked
     def driving(self, links: Iterable[str]) -> tuple[str, ...]:
         """Return the names of the readings that say where links are; those of closed loops always do.
 
@@ -294,6 +295,7 @@ class Robot:
             yield self.chain[joint]
             joint = self.chain[joint].parent
 
+    @checked
     def carrier(self, link: str) -> int:
         """Return the index of the joint that carries a link of the URDF, -1 for the base link.
 

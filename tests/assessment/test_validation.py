@@ -43,6 +43,14 @@ def visited_again(data: calib.Measurements, rows: int, by: float = 2e-4) -> cali
     return replace(again, readings=again.readings + shift)
 
 
+def test_sigmas_of_more_or_fewer_components_than_there_are_is_a_sentence() -> None:
+    """Three were given for x, y and z, and the first was taken for all."""
+    model, data = measured(40)
+    for sigmas in ([], [1e-4, 2e-4, 3e-4]):
+        with pytest.raises(JobError, match=f"{len(sigmas)} model sigmas are given for 1 component of the data"):
+            cross_validate(model, data, count=3, model_sigmas=sigmas)
+
+
 def test_poses_that_were_visited_twice_are_one_group() -> None:
     _, data = measured(40)
     group = row_groups([visited_again(data, 15)])

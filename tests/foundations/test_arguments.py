@@ -21,6 +21,13 @@ from calib.identification.relations import Relation
 from tests.support.cases import CASE, TABLE
 
 
+def _nested(depth: int) -> list[Any]:
+    found: list[Any] = []
+    for _ in range(depth):
+        found = [found]
+    return found
+
+
 @checked
 def takes(
     number: float = 1.0,
@@ -106,6 +113,19 @@ def test_what_fits_is_taken(given: dict[str, Any]) -> None:
             "rows is an array of float64; needs an array of whole numbers, an array of bools or None.",
         ),
         ({"numbers": [[1.0], [1.0, 2.0]]}, "numbers is a list of list; needs an array of numbers or None."),
+        (  # what is behind the mask would be taken
+            {"numbers": list(np.ma.masked_array([[1.0, 9e9]], [[False, True]]))},
+            "numbers is a list of masked numbers; needs an array of numbers or None.",
+        ),
+        (
+            {"numbers": [[1.0, np.ma.masked]]},
+            "numbers is a list of masked numbers; needs an array of numbers or None.",
+        ),
+        (
+            {"numbers": (pd.DataFrame({"a": [1.0]}),)},
+            "numbers is a tuple of DataFrame; needs an array of numbers or None.",
+        ),
+        ({"numbers": _nested(5000)}, "numbers is a list of list; needs an array of numbers or None."),
         ({"numbers": [None]}, "numbers is [None]; needs an array of numbers or None."),
         ({"numbers": "abc"}, "numbers is 'abc'; needs an array of numbers or None."),
         (  # an array has no names: columns in another order, or in degrees, would be wrong in silence
@@ -448,6 +468,7 @@ def test_columns_that_are_none_are_sentences() -> None:
     for x, said in (
         ([[1.0, 2.0], [3.0]], r"column 'x \[m\]' is a list of list; needs one value for each row"),
         (np.ma.masked_array([1.0, 9e9], [False, True]), "is a masked array of float64; leave its rows out"),
+        (list(np.ma.masked_array([1.0, 9e9], [False, True])), "is a list of masked numbers; leave its rows out"),
         (np.array([_LONG("1e4000"), 1.0]), "column 'x'"),
     ):
         with pytest.raises(calib.CalibError, match=said):
@@ -488,3 +509,48 @@ def test_lists_that_change_later_change_nothing(make: Callable[[list[Any]], obje
     before = repr(made)
     given.clear()
     assert repr(made) == before
+
+
+def test_methods_that_take_numbers_or_names_hold_them_against_their_hints() -> None:
+    """What is behind a mask was taken for points, a text for a list of its letters."""
+    robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+    machine = calib.CalibratedMachine(robot, robot.no_deviations(), np.eye(4), {"tool": np.eye(4)})
+    data = calib.read_measurements(CASE / TABLE, robot, sigma=2e-5)
+    model = calib.error_model(robot)
+    masked = np.ma.masked_array(np.ones((4, 3)), np.eye(4, 3))
+    readings = np.ma.masked_array(np.zeros((2, len(robot.readings))), True)
+    planning, measuring = calib.planning, calib.measuring
+    tracker, board = measuring.LaserTracker(1e-5, 1e-6), measuring.Board("b", np.eye(3))
+    bodies = planning.self_collision(calib.load_robot("example:ur_description/urdf/ur5_robot.urdf", tip="tool0"))
+    assert bodies is not None
+    asked: list[Callable[[], object]] = [
+        lambda: tracker.sigma_at(masked),
+        lambda: tracker.sigma_at(np.zeros((4, 6))),
+        lambda: calib.positioner.relative_base(np.eye(3), np.eye(3)).sigma_at(masked),
+        lambda: planning.Sight().sees(np.stack([np.eye(4)] * 4), masked),
+        lambda: planning.Sight().sees(np.array(1.0), np.array(1.0)),
+        lambda: planning.Sight().sees(np.stack([np.eye(4)] * 2), np.ones((4, 3))),
+        lambda: board.numbers(masked),
+        lambda: board.numbers(np.zeros((4, 6))),
+        lambda: bodies.colliding(np.ma.masked_all((2, 6))),
+        lambda: bodies.without_lasting(np.ma.masked_all((2, 6))),
+        lambda: measuring.TouchingArm(machine, np.zeros(3), 1e-5).points(readings),
+        lambda: model.parameters("tool"),
+        lambda: data.at(["base"]),  # type: ignore[arg-type]
+        lambda: robot.carrier(5),  # type: ignore[arg-type]
+        lambda: robot.driving("probe"),
+        lambda: machine.tool_named(np.zeros(3)),  # type: ignore[arg-type]
+    ]
+    for ask in asked:
+        with pytest.raises(calib.CalibError, match=r"^[^\n]+$"):
+            ask()
+
+
+def test_rows_of_one_set_up_are_read_only() -> None:
+    robot = calib.load_robot(CASE / "arm_cmm.urdf", tip="probe")
+    data = calib.read_measurements(CASE / TABLE, robot, sigma=2e-5).at("base")
+    assert not any(value.flags.writeable for value in vars_of(data).values() if isinstance(value, np.ndarray))
+
+
+def vars_of(made: object) -> dict[str, Any]:
+    return {name: getattr(made, name) for name in type(made).__slots__}  # type: ignore[attr-defined]
