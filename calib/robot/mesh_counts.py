@@ -17,6 +17,8 @@ MOST_PARTS = 1000
 _HEADER = 12
 # A material is looked for within lines as well.
 _WORDS_BEFORE_A_PART = {".obj": (b"\no ", b"\ng ", b"usemtl "), ".stl": (b"solid",)}
+# What a GLB may require that has nothing to do with places, or that the library reads: whole numbers for them.
+_READ_WITHOUT = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_mesh_quantization", "KHR_lights_")
 # Properties of a PLY that are looked at as long as one part is made.
 _LOOKS_OF_A_PART = 100
 
@@ -53,6 +55,7 @@ def counts(data: bytes, suffix: str) -> Counts:
 def _of_glb(data: bytes) -> Counts:
     length = struct.unpack_from("<I", data, _HEADER)[0]
     tree = json.loads(data[_HEADER + 8 : _HEADER + 8 + length])
+    _refuse_other_shapes(tree)
     accessors = [int(accessor["count"]) for accessor in tree["accessors"]]
     if any(count < 0 for count in accessors):
         raise ValueError("a negative count")
@@ -70,6 +73,25 @@ def _of_glb(data: bytes) -> Counts:
     children = sum(len(node.get("children", ())) for node in nodes)
     parts = max(sum(map(len, meshes)), sum(map(len, shown)), len(nodes), children, len(accessors) // 10)
     return Counts(max(made, sum(map(sum, shown))), parts)
+
+
+def _refuse_other_shapes(tree: Mapping[str, Any]) -> None:
+    """Raise ValueError where a GLB has what the library passes over, and so would show another shape.
+
+    Places that are fractions of a range or differ from those of the buffer, and that weights or joints move; and what
+    the file itself says nobody can do without.
+    """
+    if any(not str(name).startswith(_READ_WITHOUT) for name in tree.get("extensionsRequired", ())):
+        raise ValueError("an extension")
+    accessors = tree["accessors"]
+    for mesh in tree["meshes"]:
+        for primitive in mesh["primitives"]:
+            places, used = accessors[primitive["attributes"]["POSITION"]], primitive.get("indices")
+            if places.get("normalized") or "sparse" in places or (used is not None and "sparse" in accessors[used]):
+                raise ValueError("places that are no numbers of the buffer")
+    moved = [thing.get("weights", ()) for thing in (*tree["meshes"], *tree.get("nodes", ()))]
+    if any(map(any, moved)) or any("skin" in node for node in tree.get("nodes", ())):
+        raise ValueError("places that are moved")
 
 
 def _copied(views: Iterable[Mapping[str, Any]], size: int) -> int:

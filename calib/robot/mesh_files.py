@@ -3,6 +3,7 @@
 import codecs
 import io
 import logging
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ Rgb = tuple[float, float, float]
 _FORMATS = {".dae", ".stl", ".obj", ".ply", ".off", ".glb"}
 _TEXTS = {".stl", ".obj", ".off"}
 LARGEST_FILE = 200_000_000
+# Of an OBJ: a line that begins with a blank, tabs, remarks behind words, and points counted backwards or from 0.
+_UNUSUAL_OBJ = re.compile(rb"(?m)^[ \t]+[vf]|^[vf][^\n]*[\t#]|^f[^\n]*(?:[ /]-| 0)")
 # Corners so near each other, in m, are one vertex.
 _SAME_PLACE = 1e-8
 _STL_HEADER = 84
@@ -76,6 +79,7 @@ def parse_mesh(data: bytes, suffix: str, otherwise: Rgb, spare: int = MOST_CORNE
     if suffix in _TEXTS and triangles is None:
         data = _as_utf8(data)
     try:
+        data = _as_usual(data) if suffix == ".obj" else data
         told = counts(data, suffix)
     except DAMAGED:
         return None
@@ -91,7 +95,34 @@ def _as_utf8(data: bytes) -> bytes:
     """Return a text as the library reads it: it would guess the encoding, and so read words that nobody counted."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", "replace").encode()
-    return data.decode("utf-8", "replace").encode()
+    return data.removeprefix(codecs.BOM_UTF8).decode("utf-8", "replace").encode()
+
+
+def _as_usual(data: bytes) -> bytes:
+    """Return an OBJ as the library reads it: it passes over lines that begin with a blank, and would miscount.
+
+    Numbers of points that are told from a face backwards are of those before it; the library counts from the end of
+    the file. Raises ValueError for a number of no point.
+    """
+    if not _UNUSUAL_OBJ.search(data):
+        return data
+    counted, lines = {b"v": 0, b"vt": 0, b"vn": 0}, []
+
+    def forwards(number: bytes, kind: bytes) -> bytes:
+        found = counted[kind] + 1 + int(number) if number.startswith(b"-") else number
+        if found == b"0" or (isinstance(found, int) and found < 1):
+            raise ValueError(number)
+        return b"%d" % found if isinstance(found, int) else found
+
+    for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
+        words = line.partition(b"#")[0].split() if line.lstrip()[:1] in (b"v", b"f") else line.split()
+        if words and words[0] in counted:
+            counted[words[0]] += 1
+        elif words[:1] == [b"f"]:
+            corners = (corner.split(b"/") for corner in words[1:])
+            words[1:] = [b"/".join(map(forwards, corner, counted)) for corner in corners]
+        lines.append(b" ".join(words))
+    return b"\n".join([*lines, b""])
 
 
 def _of_binary_stl(data: bytes, rgb: Rgb) -> Triangles | None:
@@ -120,7 +151,7 @@ def _by_library(data: bytes, suffix: str, otherwise: Rgb) -> list[Triangles]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             data = without_pictures(data) if suffix == ".glb" else data
-            scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=None)
+            scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=None, process=False)
             # COLLADA states its unit, and ROS viewers obey it.
             unit = 1.0 if scene.units is None else trimesh.units.unit_conversion(scene.units, "meters")
             return [

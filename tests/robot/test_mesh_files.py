@@ -5,7 +5,9 @@ import json
 import struct
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -110,3 +112,105 @@ def test_a_plan_with_collision_meshes_waits_for_no_trimesh(tmp_path: Path) -> No
     )
     assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "False"), done.stderr
     assert "not judged" not in done.stdout
+
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # Relative numbers are of the points before the face: the library counted from the end of the file.
+        "o a\nv 0 0 0\nv 1 0 0\nv 0 2 0\nf -3 -1 -2\no b\nv 0 0 3\nf -4 -3 -1\nf -4 -1 -2\nf -3 -2 -1\n",
+        TETRAHEDRON.replace("f 1 3 2", "f \\\n1/-1/-1 3/1/1 2/1/1").replace("v 0 0 3", "v 0 0 3\nvt 0 0\nvn 0 0 1"),
+        TETRAHEDRON.replace("v ", "  v  ").replace("f ", "\tf "),
+        TETRAHEDRON.replace("v ", "v\t"),
+        TETRAHEDRON.replace("\n", "  # an index: 9\n"),
+        TETRAHEDRON.replace("\n", "\r\n"),
+        "\ufeff" + TETRAHEDRON,
+    ],
+)
+def test_an_obj_that_is_written_otherwise_is_the_same_shape(text: str) -> None:
+    expected = parse_mesh(TETRAHEDRON.encode(), ".obj", GREY)
+    found = parse_mesh(text.encode(), ".obj", GREY)
+    assert expected is not None
+    assert found is not None
+    corners = [np.concatenate([part.vertices[part.faces] for part in mesh.parts]) for mesh in (expected, found)]
+    assert {triangle.tobytes() for triangle in np.sort(corners[0], axis=1)} == {
+        triangle.tobytes() for triangle in np.sort(corners[1], axis=1)
+    }
+
+
+@pytest.mark.parametrize("number", ["0", "5", "-5"])
+def test_an_obj_with_the_number_of_no_point_is_refused(number: str) -> None:
+    assert parse_mesh(TETRAHEDRON.replace("f 1", f"f {number}").encode(), ".obj", GREY) is None
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "1e400"])
+@pytest.mark.parametrize("suffix", [".obj", ".off", ".ply", ".stl"])
+def test_a_text_with_corners_that_are_no_numbers_is_refused(number: str, suffix: str) -> None:
+    """The library left their triangles out, and kept the others."""
+    points, faces = ["0 0 0", "1 0 0", "0 2 0", "0 0 3"], [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+
+    def text(points: list[str]) -> str:
+        threes = "\n".join([*points, *(f"3 {a} {b} {c}" for a, b, c in faces)])
+        facets = (
+            "facet normal 0 0 0\nouter loop\n" + "".join(f"vertex {points[k]}\n" for k in face) + "endloop\nendfacet\n"
+            for face in faces
+        )
+        places = "".join(f"property float {axis}\n" for axis in "xyz")
+        return {
+            ".obj": TETRAHEDRON.replace("v 0 2 0", f"v {points[2]}"),
+            ".off": f"OFF\n4 4 0\n{threes}\n",
+            ".ply": f"ply\nformat ascii 1.0\nelement vertex 4\n{places}element face 4\n"
+            f"property list uchar int vertex_indices\nend_header\n{threes}\n",
+            ".stl": f"solid a\n{''.join(facets)}endsolid a\n",
+        }[suffix]
+
+    assert parse_mesh(text(points).encode(), suffix, GREY) is not None
+    assert parse_mesh(text([*points[:2], f"0 {number} 0", points[3]]).encode(), suffix, GREY) is None
+
+
+def _glb(change: Callable[[dict[str, Any]], object]) -> bytes:
+    """Return a GLB of one tetrahedron, its tree changed."""
+    places = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], dtype="<f4").tobytes()
+    binary = places + np.array([0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3], dtype="<u2").tobytes()
+    tree: dict[str, Any] = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": len(binary)}],
+        "bufferViews": [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 24}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, 0], "max": [1, 2, 3]},
+            {"bufferView": 1, "componentType": 5123, "count": 12, "type": "SCALAR"},
+        ],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+        "scene": 0,
+    }
+    change(tree)
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(binary), len(text), b"JSON")
+    return head + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+
+
+def test_a_glb_of_places_that_the_library_takes_for_others_is_refused() -> None:
+    """Fractions of a range were drawn as 65535 times as large, and places that replace others were passed over."""
+    sparse = {"count": 1, "indices": {"bufferView": 1, "componentType": 5123}, "values": {"bufferView": 0}}
+    for harmless in (
+        lambda tree: tree,
+        lambda tree: tree.update(extensionsRequired=["KHR_materials_unlit"]),
+        lambda tree: tree["meshes"][0].update(weights=[0.0]),
+    ):
+        assert parse_mesh(_glb(harmless), ".glb", GREY) is not None
+    for change in (
+        lambda tree: tree["accessors"][0].update(normalized=True, componentType=5123),
+        lambda tree: tree["accessors"][0].update(sparse=sparse),
+        lambda tree: tree["accessors"][1].update(sparse=sparse),
+        lambda tree: tree["meshes"][0].update(weights=[0.5]),
+        lambda tree: tree["nodes"][0].update(skin=0),
+        lambda tree: tree.update(extensionsRequired=["EXT_meshopt_compression"]),
+        lambda tree: tree.update(extensionsRequired=5),
+    ):
+        assert parse_mesh(_glb(change), ".glb", GREY) is None
