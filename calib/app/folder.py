@@ -13,6 +13,7 @@ import re
 import shutil
 import stat
 import tempfile
+import time
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -21,7 +22,17 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Literal
 
 from calib.foundations.errors import OutputError
-from calib.foundations.files import DAMAGED, LARGEST_JSON, read_inside, sentences, stamp, write_atomically
+from calib.foundations.files import (
+    DAMAGED,
+    LARGEST_JSON,
+    is_regular,
+    names_in,
+    opened_folder,
+    read_inside,
+    sentences,
+    stamp,
+    write_atomically,
+)
 from calib.foundations.folders import alone_with
 from calib.foundations.words import shown
 from calib.measurement.formats.images import ENDINGS
@@ -36,6 +47,8 @@ _MESHES = "meshes"  # as they were dropped
 _OURS = ".made.json"
 # Locked while a page is served from the folder; the folder itself is locked where results are written.
 _SERVED = ".served"
+# Of folders that go with their page; one that was killed leaves it, and for a day ``--folder`` can go on with it.
+_TEMPORARY, _LONG_AGO = "calib-app-", 86_400.0
 # A table of a million rows has some 100 MB; photographs come in hundreds.
 LARGEST_FILE = 200_000_000
 _LARGEST_SUM = 1_000_000_000
@@ -104,10 +117,14 @@ def private_folder(path: Path | None) -> Iterator[Path]:
     if path is None:
         with contextlib.ExitStack() as removed:
             try:
-                made = removed.enter_context(tempfile.TemporaryDirectory(prefix="calib-app-"))
+                made = removed.enter_context(tempfile.TemporaryDirectory(prefix=_TEMPORARY))
             except OSError as e:
                 raise OutputError(f"no folder for files can be made ({e.strerror}); name one by --folder.") from e
-            yield Path(made)
+            with _alone_in(Path(made)) as marker:
+                with contextlib.suppress(OSError):  # a full disk; it is then left where this page is killed
+                    os.write(marker, _marked(Path(made).name, Path(made).stat()))
+                _remove_left()
+                yield Path(made)
         return
     with sentences(path, OutputError, "cannot be made"):
         if os.path.lexists(path) and (path.is_symlink() or not path.is_dir() or not (_left(path) or _empty(path))):
@@ -117,19 +134,57 @@ def private_folder(path: Path | None) -> Iterator[Path]:
         if path.stat().st_uid != os.getuid():
             raise OutputError(f"{path}: belongs to another user, who could enter it; choose another.")
         path.chmod(0o700)
-    with _alone_in(path):
+    with _alone_in(path) as marker:
+        os.ftruncate(marker, 0)  # one that was temporary is kept from now on
         yield path.absolute()
 
 
+def _remove_left() -> None:
+    """Remove the temporary folders of pages that were killed, a day after they were last used; nothing else."""
+    with contextlib.suppress(OSError), opened_folder(tempfile.gettempdir()) as above:
+        for name in names_in(above):
+            if name.startswith(_TEMPORARY):
+                with contextlib.suppress(OSError):
+                    _remove_dead(name, above)
+
+
+def _remove_dead(name: str, above: int) -> None:
+    """Remove a folder if it is this user's own, its marker says that it is temporary, and nobody holds the marker.
+
+    A copy has another number than the marker says, or another name, and what ``--folder`` has named says nothing.
+    """
+    with opened_folder(name, above) as folder:
+        found = os.fstat(folder)
+        if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) != 0o700 or _is_recent(found):
+            return
+        marker = os.open(_SERVED, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC, dir_fd=folder)
+        with os.fdopen(marker, "rb") as file:
+            ours = is_regular(_SERVED, folder) and file.read(_LONGEST_NAME) == _marked(name, found)
+            if ours and alone_with(marker, where_unknown=False):
+                shutil.rmtree(name, dir_fd=above)
+
+
+def _is_recent(found: os.stat_result) -> bool:
+    return time.time() - found.st_mtime < _LONG_AGO
+
+
+def _marked(name: str, folder: os.stat_result) -> bytes:
+    """Return what the marker of a temporary folder says: in which one it was made."""
+    return f"temporary {name} {folder.st_ino}".encode(errors="replace")
+
+
 @contextlib.contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Keep other pages out of a folder: of two, each would write what it knows over what the other one knows."""
+def _alone_in(folder: Path) -> Iterator[int]:
+    """Keep other pages out of a folder: of two, each would write what it knows over what the other one knows.
+
+    Gives a descriptor of the file that is locked.
+    """
     with sentences(folder, OutputError, "files cannot be kept in it"):
         handle = os.open(folder / _SERVED, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     try:
         if not alone_with(handle):
             raise OutputError(f"{folder}: another page is served from it; end that one, or choose another folder.")
-        yield
+        yield handle
     finally:
         os.close(handle)
 

@@ -486,12 +486,13 @@ def _locked(place: _Place, kind: int, patience: float = _PATIENCE) -> Iterator[N
             fcntl.flock(place.above, fcntl.LOCK_UN)
 
 
-def alone_with(handle: int) -> bool:
+def alone_with(handle: int, *, where_unknown: bool = True) -> bool:
     """Lock an open file until it is closed; return False where another process holds it.
 
-    Where a file system knows no locks, nobody can be told from anybody, and it is True.
+    Where a file system knows no locks, nobody can be told from anybody, and it is ``where_unknown``.
     """
-    return _had(handle, fcntl.LOCK_EX) is not None
+    had = _had(handle, fcntl.LOCK_EX)
+    return where_unknown if had is False else had is True
 
 
 def _had(handle: int, kind: int) -> bool | None:

@@ -1,10 +1,13 @@
 """The private folder of the page: names, sizes, and what leaves it."""
 
 import errno
+import fcntl
 import io
 import os
 import shutil
 import stat
+import subprocess
+import sys
 import tempfile
 import time
 import zipfile
@@ -100,6 +103,85 @@ def test_the_folder_is_private_and_was_empty(tmp_path: Path) -> None:
     for taken in (tmp_path / "there", tmp_path / "there" / "a.csv", tmp_path / "there" / "a.csv" / "x"):
         with pytest.raises(OutputError, match=r"choose another|cannot be made"), private_folder(taken):
             pytest.fail("was given")
+
+
+def _killed(place: Path) -> Path:
+    """Serve a page from a temporary folder beside others, and kill it; return what it leaves."""
+    code = (
+        "import os, sys, tempfile; from calib.app.folder import private_folder; tempfile.tempdir = sys.argv[1]\n"
+        "with private_folder(None) as place:\n"
+        "    (place / 'robot').mkdir(); (place / 'robot' / 'arm.urdf').write_text('<robot/>')\n"
+        "    (place / '.session.json').write_text('{}'); print(place, flush=True); os.kill(os.getpid(), 9)"
+    )
+    said = subprocess.run([sys.executable, "-c", code, place], stdout=subprocess.PIPE, text=True, check=False).stdout
+    return Path(said.strip())
+
+
+def _age(*places: Path) -> None:
+    """Let two days pass since these were used."""
+    for place in places:
+        os.utime(place, (time.time() - 2 * 86_400,) * 2)
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    place = tmp_path / "tmp"
+    place.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    return place
+
+
+def test_the_temporary_folder_of_a_page_that_was_killed_goes_after_a_day(temporary: Path) -> None:
+    old, new = _killed(temporary), _killed(temporary)
+    _age(old)
+    with private_folder(None) as place:
+        assert sorted(temporary.iterdir()) == sorted([new, place])
+    assert not old.exists()
+    _age(new)
+    with private_folder(None):
+        assert not new.exists()
+    assert list(temporary.iterdir()) == []
+
+
+def test_no_folder_goes_that_is_not_left_by_a_page_that_was_killed(
+    temporary: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copied, moved, kept, unmarked, linked, open_to_all = (_killed(temporary) for _ in range(6))
+    there = [shutil.copytree(copied, temporary / "calib-app-copied", copy_function=shutil.copy2)]
+    there.append(moved.rename(temporary / "calib-app-moved"))
+    with private_folder(kept):  # it goes on, and is the user's from now on
+        pass
+    (unmarked / ".served").unlink()
+    (linked / ".served").rename(tmp_path / "marker")
+    (linked / ".served").symlink_to(tmp_path / "marker")
+    open_to_all.chmod(0o755)
+    (temporary / "calib-app-file").write_text("x")
+    (temporary / "calib-app-link").symlink_to(tmp_path)
+    there += [kept, unmarked, linked, open_to_all]
+    _age(copied, *there)
+    with private_folder(None) as first:
+        _age(first)
+        with private_folder(None):  # another page, for the one before is alive
+            assert first.exists()
+        assert not copied.exists()
+        assert all((place / "robot" / "arm.urdf").exists() for place in there)
+        _age(other := _killed(temporary))
+        monkeypatch.setattr(os, "getuid", lambda: temporary.stat().st_uid + 1)
+        with private_folder(None):
+            assert other.exists()
+    assert (temporary / "calib-app-file").exists()
+    assert (temporary / "calib-app-link").is_symlink()
+
+
+def test_where_no_locks_are_known_no_folder_goes(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _age(left := _killed(temporary))
+
+    def none(*_: object) -> None:
+        raise OSError(errno.ENOTSUP, os.strerror(errno.ENOTSUP))
+
+    monkeypatch.setattr(fcntl, "flock", none)
+    with private_folder(None):
+        assert left.exists()
 
 
 def test_without_a_place_for_temporary_files_a_folder_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
