@@ -367,7 +367,8 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
     commands: list[str] = []
     for k, title in enumerate(titles):
         try:
-            name, symbol = _split(title)
+            # Whatever the title of a column is, it can be passed over.
+            name, symbol = (title.strip(), None) if title.strip() in left else _split(title)
             symbol = symbol or (units[k] if units else "") or symbol
             if title.strip() in left or name in left:
                 left.pop(title.strip() if title.strip() in left else name)

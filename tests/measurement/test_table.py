@@ -148,6 +148,16 @@ def test_columns_are_passed_over_when_they_are_named(tmp_path: Path) -> None:
     assert table.columns["x"].values.tolist() == [1e-3, 2e-3]
 
 
+@pytest.mark.parametrize("title", ["[mm]", " [deg] ", "x [mm] [deg]", "n" * 300])
+def test_a_column_that_is_no_name_with_a_unit_can_be_passed_over(title: str, tmp_path: Path) -> None:
+    """It was said not to be there, with the advice to ignore it."""
+    path = tmp_path / "t.csv"
+    path.write_text(f"a [mm],{title}\n1,2\n")
+    assert list(read_table(path, Columns(ignore=(title.strip(),))).columns) == ["a"]
+    with pytest.raises(MeasurementError, match=r"^[^;]*$"):
+        read_table(path)
+
+
 def test_words_may_be_unicode_and_hold_commas_when_quoted(tmp_path: Path) -> None:
     table = read_table(write(tmp_path, 'x [m], group\n1, "a, b"\n2, Größe\n'))
     assert table.columns["group"].values == ("a, b", "Größe")
