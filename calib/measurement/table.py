@@ -367,8 +367,7 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
     commands: list[str] = []
     for k, title in enumerate(titles):
         try:
-            # Whatever the title of a column is, it can be passed over.
-            name, symbol = (title.strip(), None) if title.strip() in left else _split(title)
+            name, symbol = _split(title, (*left, *ours))
             symbol = symbol or (units[k] if units else "") or symbol
             if title.strip() in left or name in left:
                 left.pop(title.strip() if title.strip() in left else name)
@@ -427,7 +426,17 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"; near is {found[0]!r}" if found else ""
 
 
-def _split(title: str) -> tuple[str, str | None]:
+def _split(title: str, said: Collection[str] = ()) -> tuple[str, str | None]:
+    """Return name and unit in a title. One of which it is ``said`` what it means may be anything; it states no unit."""
+    try:
+        return _read(title)
+    except HeaderError:
+        if title.strip() not in said:
+            raise
+        return title.strip(), None
+
+
+def _read(title: str) -> tuple[str, str | None]:
     match = _TITLE.fullmatch(title.strip())
     # Two units behind one name are one too many; "1", the unit of plain numbers, is rather a number of the name.
     if match is None or any(symbol_of(word) not in (None, "1") for word in _IN_BRACKETS.findall(match[1])):

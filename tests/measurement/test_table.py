@@ -149,11 +149,15 @@ def test_columns_are_passed_over_when_they_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("title", ["[mm]", " [deg] ", "x [mm] [deg]", "n" * 300])
-def test_a_column_that_is_no_name_with_a_unit_can_be_passed_over(title: str, tmp_path: Path) -> None:
+def test_a_column_that_is_no_name_with_a_unit_can_be_passed_over_or_named(title: str, tmp_path: Path) -> None:
     """It was said not to be there, with the advice to ignore it."""
     path = tmp_path / "t.csv"
     path.write_text(f"a [mm],{title}\n1,2\n")
     assert list(read_table(path, Columns(ignore=(title.strip(),))).columns) == ["a"]
+    named = read_table(path, Columns({"b [deg]": title.strip()}))
+    assert named.columns["b"].values == pytest.approx([np.radians(2.0)])
+    with pytest.raises(MeasurementError, match="column 'b' has no unit"):
+        read_table(path, Columns({"b": title.strip()}))
     with pytest.raises(MeasurementError, match=r"^[^;]*$"):
         read_table(path)
 
