@@ -24,6 +24,7 @@ from calib.identification.initialisation.base_and_tools import (
     points_together,
 )
 from calib.identification.initialisation.carried import Carried
+from calib.identification.initialisation.known_planes import base_by_planes
 from calib.identification.initialisation.lenses import with_found_lenses
 from calib.identification.initialisation.target_poses import NEGLIGIBLE, centre, other_side, with_targets
 from calib.identification.initialisation.touched_balls import touched_with
@@ -234,8 +235,10 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
         every = sides[0]
         if not len(every.tips) or (np.isnan(every.orientation).any() and _places(every) < _LEAST_PLACES):
             if not stands.any() or not _needs_base(carried, int(s)):
-                # Too little is known to place any base: it begins as given, and the null space says so.
-                stands[s] = True
+                # Too little is known to place any base: it begins as given but for what known planes tell of it, and
+                # the null space says so.
+                touched = [rows.some(rows.data.setup == s) for rows in carried]
+                bases[s], stands[s] = base_by_planes(model, touched, at.tools, bases[s]), True
                 continue
             tables = dict.fromkeys(rows.data.where for rows in carried if np.any(rows.data.setup == s))
             raise MeasurementError(

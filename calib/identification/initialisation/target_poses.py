@@ -39,7 +39,7 @@ def with_targets(model: ErrorModel, rows: Sequence[Carried], frames: Frames) -> 
     of_target = [dict(numbered(data.target)) for data in sets]
     none = np.zeros(0, dtype=np.intp)
     planes = [t for t, name in enumerate(names) if found.get(name) == "plane" and name not in model.targets]
-    arms = [_arm_beside(model, data, T, x, planes) for data, T, x in zip(sets, carried, points, strict=True)]
+    arms = [arm_beside(model, data, T, x, planes) for data, T, x in zip(sets, carried, points, strict=True)]
     for t, name in enumerate(names):
         about = [
             (data, T, x, arm, rows.get(t, none))
@@ -54,7 +54,7 @@ def with_targets(model: ErrorModel, rows: Sequence[Carried], frames: Frames) -> 
         elif found.get(name) == "plane":
             beside = [arm[rows] for _, _, arm, rows in touched]
             alike = [parts for parts in beside if parts.shape[1] == beside[0].shape[1]]
-            poses[t] = _plane(np.concatenate([x for _, x, _ in own]), np.concatenate(alike).mean(axis=0))
+            poses[t] = plane_through(np.concatenate([x for _, x, _ in own]), np.concatenate(alike).mean(axis=0))
         elif own:
             sockets = [x for data, x, _ in own if data.kind == "socket"]
             if sights and not sockets:
@@ -113,7 +113,7 @@ def _known_pose(target: targets.Target, own: Sequence[tuple[Measurements, Array,
     return rigid.placement(target.pose[:3, :3], height * normal)
 
 
-def _arm_beside(model: ErrorModel, data: Measurements, tips: Array, x: Array, planes: Sequence[int]) -> Array:
+def arm_beside(model: ErrorModel, data: Measurements, tips: Array, x: Array, planes: Sequence[int]) -> Array:
     """Return where tip link and joints were, from the tip back to the base, beside the touched points (N, k, 3).
 
     ``tips`` (N, 4, 4) and points ``x`` (N, 3) are in the frame of the target. Rows about no plane stay at 0. A robot is
@@ -137,7 +137,7 @@ def _arm_beside(model: ErrorModel, data: Measurements, tips: Array, x: Array, pl
     return beside
 
 
-def _plane(x: Array, beside: Array) -> Array:
+def plane_through(x: Array, beside: Array) -> Array:
     """Return a frame whose x and y are in the plane nearest to points (n, 3), z on the side from which it is touched.
 
     That is the side of the first of the arm's parts ``beside`` it (k, 3) that is clearly off the plane. The base would
