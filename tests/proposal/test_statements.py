@@ -229,3 +229,38 @@ def test_numbers_beyond_floats_are_none_that_change(folder: Path) -> None:
     file.write_text("q0,q1,q2,q3,q4,q5,q6,x,y,z\n" + "1e999,1,2,3,4,5,6,7,8,9\n" * 3)
     with pytest.raises(calib.CalibError):
         calib.measuring.propose(UR10, [file]).job()
+
+
+@pytest.mark.parametrize(
+    "contents",
+    [
+        "DECL E6AXIS XP1={A1 3,2173,A2 122,5959,A3 -96,8437}\nDECL E6AXIS XP2={A1 4,5,A2 12,75,A3 6,125}\n",
+        "q=[3,2173; 122,5959; -96,8437]\nq=[4,5; 12,75; 6,125]\n",
+        "q=[3,2173, 122,5959, -96,8437]\nq=[4,5, 12,75, 6,125]\n",
+    ],
+)
+def test_decimal_commas_are_refused_and_no_decimals_are_lost(folder: Path, contents: str) -> None:
+    with pytest.raises(
+        calib.MeasurementError, match=r"^a\.txt:1: '3,2173' seems to have a decimal comma; write a point,"
+    ):
+        made(folder, contents)
+
+
+@pytest.mark.parametrize(
+    "contents",
+    [
+        "p=[3,21,122]\np=[4,5,12]\n",
+        "p=[3, 2173; 122, 5959]\np=[4, 5; 12, 75]\n",
+        "p [(320,240) (321,24) (32,24) (1 2 3)]\np [(32,24) (31,4) (3,2) (4 5 6)]\n",
+        "p=[3,-4; 12,-5; 7,-8]\np=[3,-4; 12,-5; 7,-8]\n",
+    ],
+)
+def test_whole_numbers_that_commas_part_stay_numbers(folder: Path, contents: str) -> None:
+    assert len(made(folder, contents).rows) == 2
+
+
+@pytest.mark.parametrize("form", ["q[{}] = {{{}}};", "q({},:) = [{}];", "q[{}] := ({})"])
+def test_a_list_in_a_list_of_its_own_number_keeps_the_name(folder: Path, form: str) -> None:
+    sheet = made(folder, "".join(form.format(k, row(np.array((k, 2.0, -3.0, 4.5)), ", ")) + "\n" for k in range(3)))
+    assert sheet.titles == ("q", "q_0", "q_1", "q_2", "q_3")
+    assert sheet.rows[2] == ("2", "2.000000", "2.000000", "-3.000000", "4.500000")

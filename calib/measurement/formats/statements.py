@@ -26,6 +26,8 @@ _LARGEST = 5_000_000
 _LOOKED_AT = 100_000  # characters, of a text that may have lists
 # A list has as many numbers as a point; fewer are a number of something, or a range.
 _FEWEST = 3
+# What a decimal comma makes of one number.
+_A_PAIR = 2
 # Lists in one pair of brackets are rows, and not the parts of one, if they are as many.
 _FEWEST_ROWS = 3
 _DEEPEST = 16
@@ -45,6 +47,7 @@ class _Token(NamedTuple):
     kind: str  # "text", "number", "word" or "sign"
     text: str
     line: int
+    glued: bool  # to what stands before it, without a blank
 
 
 class _Statement(NamedTuple):
@@ -118,10 +121,58 @@ def from_statements(data: bytes, where: str, part: str | None = None) -> Rows | 
             f"{where}: has several kinds of lines with numbers in brackets: {told}{more}; say by --topic WORD which "
             "are meant, a word that the others do not have, or keep only these."
         )
+    _refuse_decimal_commas(kinds[0], where)
     titles, rows = _table(kinds[0], where)
     said = [f"{counted(len(rows), 'row')} as {_told(kinds[0][0])}"]
     said += [counted(others, "other line is passed over", "other lines are passed over")] if others else []
     return titles, rows, tuple(said)
+
+
+def _refuse_decimal_commas(kind: Sequence[_Statement], where: str) -> None:
+    """Raise MeasurementError where commas part numbers two by two: ``A1 3,2173,A2 122,5959`` would lose its decimals.
+
+    A pair in brackets of its own, as ``(320,240)``, is none.
+    """
+    tokens = kind[0].tokens
+    runs = [run for run in _runs(tokens) if len(run) > 1]
+    if len(runs) < _FEWEST or any(len(run) != _A_PAIR or _is_in_brackets(tokens, *run) for run in runs):
+        return
+    for statement in kind:
+        for first, second in runs:
+            whole, decimals = statement.tokens[first], statement.tokens[second]
+            if not (decimals.glued and decimals.text.isdecimal() and whole.text.lstrip("+-").isdecimal()):
+                return
+    whole, decimals = (tokens[k] for k in runs[0])
+    raise MeasurementError(
+        f"{where}:{whole.line}: {shown(f'{whole.text},{decimals.text}')} seems to have a decimal comma; write a point, "
+        "or a blank behind a comma that parts two numbers."
+    )
+
+
+def _is_in_brackets(tokens: Sequence[_Token], first: int, last: int) -> bool:
+    """Return whether brackets hold these tokens and no others."""
+    return (
+        first > 0
+        and tokens[first - 1].text in _PAIRS.values()
+        and last + 1 < len(tokens)
+        and tokens[last + 1].text in _PAIRS
+    )
+
+
+def _runs(tokens: Sequence[_Token]) -> Iterator[list[int]]:
+    """Yield the numbers that commas without a blank join, by their places."""
+    run: list[int] = []
+    for k, token in enumerate(tokens):
+        if token.kind != "number":
+            continue
+        if run and run[-1] == k - 2 and tokens[k - 1].text == "," and tokens[k - 1].glued and token.glued:
+            run.append(k)
+            continue
+        if run:
+            yield run
+        run = [k]
+    if run:
+        yield run
 
 
 def _told(statement: _Statement) -> str:
@@ -261,8 +312,10 @@ def _plain(text: str) -> str:
 
 
 def _tokens(text: str, line: int) -> Iterator[_Token]:
+    end = -1
     for match in _TOKEN.finditer(text):
-        yield _Token(match.lastgroup or "", match.group(), line)
+        yield _Token(match.lastgroup or "", match.group(), line, match.start() == end)
+        end = match.end()
 
 
 def _rows_of(statement: _Statement, is_only: bool) -> list[_Statement]:
@@ -368,6 +421,13 @@ def _is_no_axis(cell: str) -> bool:
     return is_number(cell, ",") and float(cell) == _NO_AXIS
 
 
+def _is_set_to_list(tokens: Sequence[_Token], closing: int) -> bool:
+    """Return whether an equals sign and a bracket that opens come behind a bracket that closes."""
+    behind = [token.text for token in tokens[closing + 1 : closing + 4]]
+    behind = behind[1:] if behind[:2] == [":", "="] else behind
+    return len(behind) > 1 and behind[0] == "=" and behind[1] in _PAIRS.values()
+
+
 def _titles(tokens: Sequence[_Token], constant: AbstractSet[int], where: str) -> dict[int, str]:
     """Return the title of every number, and of every word that is not the same in all rows; "" where nothing says it.
 
@@ -381,7 +441,10 @@ def _titles(tokens: Sequence[_Token], constant: AbstractSet[int], where: str) ->
     for k, token in enumerate(tokens):
         depth += (token.text in _PAIRS.values()) - (token.text in _PAIRS)
         if token.text in _PAIRS and depth <= at:
-            base = ""
+            if base and _is_set_to_list(tokens, k):  # the number of a list, which keeps its name: q[3] = {...}
+                lists.append((base, []))
+            else:
+                base = ""
         if k in constant:
             word = _plain(token.text)
             unit = symbol_of(word) if titles.get(k - 1) else None
