@@ -2,6 +2,7 @@
 
 import csv
 import re
+import string
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -28,6 +29,8 @@ _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # What exporters write before a line that is no row; behind a percent sign a name may stand, as rostopic has it: %time.
 _COMMENT = re.compile(r"\s*(?:#|//|%(?:$|[\s%=-]))")
 _LINE_END = re.compile(rb"\r\n?|\n")
+# Of these a spreadsheet makes the line of a row without anything in it.
+_BLANK = string.whitespace + ",;|"
 
 
 # Titles, cells and remarks: what files of all formats become.
@@ -35,7 +38,10 @@ Rows = tuple[Sequence[str], Sequence[Sequence[str]], tuple[str, ...]]
 
 
 class Line(NamedTuple):
-    """A line that is neither blank nor a comment, and its number from 1; ``ended``: by a line end, not the file's."""
+    """A line that is neither blank, as one of separators alone is, nor a comment, and its number from 1.
+
+    ``ended``: by a line end, not the file's.
+    """
 
     number: int
     text: str
@@ -107,7 +113,9 @@ def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
         text = _decoded(data[start:end], data, start, where)
         # splitlines() would also split at form feeds and the like, and number the lines as no editor does.
         every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-        found = [Line(number + k, line, k < len(every) - 1) for k, line in enumerate(every) if line.strip()]
+        found = [
+            Line(number + k, line, k < len(every) - 1) for k, line in enumerate(every) if line.strip().strip(_BLANK)
+        ]
         for k, line, _ in found:
             if len(line) > LONGEST_LINE:
                 raise MeasurementError(f"{where}:{k}: is longer than the {LONGEST_LINE} characters that are allowed.")
@@ -160,12 +168,12 @@ def cells(line: str, separator: str, at: str) -> list[str]:
 
 def refuse_ragged(rows: Sequence[Sequence[str]], width: int, block: Sequence[Line], where: str) -> None:
     """Raise MeasurementError for a row that has not ``width`` cells."""
-    for (number, _, ended), found in zip(block, rows, strict=True):
+    for (number, text, ended), found in zip(block, rows, strict=True):
         if len(found) == width:
             continue
         if len(found) < width and not ended:
             hint = ", and the file ends within this row: it seems truncated"
-        elif len(found) > width and found[-1]:
+        elif len(found) > width and found[-1] and text.count(",") >= len(found) - 1:
             hint = "; if these are decimal commas, write points, or separate the cells by semicolons"
         else:
             hint = ""

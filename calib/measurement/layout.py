@@ -18,8 +18,6 @@ from calib.measurement.cells import Line, beginning, cells, is_comment
 _SEPARATORS = ("\t", ";", "|", ",")
 _LOOKED_AT = 200
 _LONGEST_NAME = 1000
-# Cells of what a spreadsheet has above a table, as "Number" and 7.
-_A_PAIR = 2
 _NAMES = {"\t": "tabs", ";": "semicolons", "|": "bars", " ": "blanks"}
 _MARKS = re.compile(r"^\s*(?:#|//|%)+\s*")
 # Units that may stand behind a name without brackets; shorter ones are the ends of too many names.
@@ -51,6 +49,16 @@ class Layout:
     last: int
     remarks: tuple[str, ...]
     named: bool = True
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The titles; a column without one is called by its place, as of the row numbers that pandas writes."""
+        return tuple(title or nameless(k) for k, title in enumerate(self.titles))
+
+
+def nameless(k: int) -> str:
+    """Return what a column at a place from 0 is called where nothing names it."""
+    return f"column {k + 1}"
 
 
 def layout(data: bytes, where: str) -> Layout:
@@ -110,7 +118,7 @@ def _without_header(
         if len(titles) == len(values) and all(titles) and len(titles) > 1:
             said = (*remarks, "the header is a comment")
             return Layout(separator, tuple(titles), nothing, line.number, row.number - 1, said)
-    titles = [f"column {k + 1}" for k in range(len(values))]
+    titles = list(map(nameless, range(len(values))))
     said = (*remarks, "there is no header")
     return Layout(separator, tuple(titles), nothing, row.number, row.number - 1, said, named=False)
 
@@ -165,10 +173,18 @@ def _is_data(row: Sequence[str], separator: str) -> bool:
 
 
 def _first_of_data(rows: Sequence[Sequence[str]], separator: str) -> int | None:
-    """Return which row is the first of numbers; not a word and a number above the header, if there are others."""
+    """Return which row is the first of numbers, as wide as most of these are, and filled if others are.
+
+    What exporters write above the header may be numbers too: "Number" and 7, or the 100 frames of a second.
+    """
     found = [i for i, row in enumerate(rows) if _is_data(row, separator)]
-    plain = (i for i in found if sum(map(bool, rows[i])) != _A_PAIR or _is_filled(rows[i]))
-    return next(plain, found[0] if found else None)
+    if not found:
+        return None
+    (width, times), *_ = Counter(len(rows[i]) for i in found).most_common(1)
+    if 2 * times > len(found):
+        found = [i for i in found if len(rows[i]) == width]
+    plain = (i for i in found if _is_filled(rows[i]))
+    return next(plain, found[0])
 
 
 def _is_filled(row: Sequence[str]) -> bool:

@@ -1,6 +1,7 @@
 """A table of somebody else as it is: titles, units where they are written, and the numbers of rows spread over it."""
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import numpy as np
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, symbol_of
+from calib.foundations.words import shown
 from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats.statements import are_alike, are_in, are_torn, opens_list
 from calib.measurement.layout import Layout, is_number, is_number_of_name, layout, name_and_unit
@@ -92,6 +94,11 @@ def _whole(data: bytes, where: str) -> RawTable:
     form = layout(data, where)
     if len(form.titles) > _MOST_COLUMNS:
         raise MeasurementError(f"{where}:{form.line}: has {len(form.titles)} columns; allowed are {_MOST_COLUMNS}.")
+    if again := next((name for name, times in Counter(form.names).items() if times > 1), None):
+        raise MeasurementError(
+            f"{where}:{form.line}: several columns are called {shown(again)}; calib import {where} -o table.csv tells "
+            "them apart."
+        )
     count = sum(sum(line.number > form.last for line in block) for block in lines(data, where))
     if not count:
         raise MeasurementError(f"{where}: has a header and no rows.")
@@ -106,11 +113,11 @@ def _whole(data: bytes, where: str) -> RawTable:
     rows = [cells(line.text, form.separator, f"{where}:{line.number}") for line in picked]
     refuse_ragged(rows, len(form.titles), picked, where)
     torn = any(all(map(opens_list, words)) for words in zip(*rows, strict=True)) or all(map(are_torn, rows))
-    if torn or are_alike(form.titles, rows[0]):
+    if torn or are_alike(form.names, rows[0]):
         raise of_lists(where)
     columns = [
         _column(title, unit, words, form.separator)
-        for title, unit, words in zip(form.titles, form.units, zip(*rows, strict=True), strict=True)
+        for title, unit, words in zip(form.names, form.units, zip(*rows, strict=True), strict=True)
     ]
     return RawTable(where, tuple(columns), count, form.remarks, form.named, data, form)
 

@@ -26,7 +26,7 @@ from calib.foundations.ranges import OF_DIMENSION, SMALLEST_CELL
 from calib.foundations.units import NUMBER, UNITS, Unit, symbol_of
 from calib.foundations.words import near, shortened, shown
 from calib.measurement.cells import Line, cells, in_bytes, lines, refuse_ragged
-from calib.measurement.layout import is_number_of_name, layout, name_and_unit
+from calib.measurement.layout import is_number_of_name, layout, name_and_unit, nameless
 from calib.measurement.orientations import ANGLES, MATRIX, quaternions_of
 
 TEXT_COLUMNS = ("tool", "setup", "target", "group", "pair", "direction")
@@ -147,6 +147,7 @@ def as_columns(columns: Mapping[str, str] | Columns) -> Columns:
 class _Heading(NamedTuple):
     name: str
     unit: Unit | None
+    called: str  # where something is wrong in it: as the file has it
     read: bool = True
 
 
@@ -185,7 +186,7 @@ def names_in(source: str | Path | Iterable[str]) -> frozenset[str]:
     titles: Iterable[str]
     if isinstance(source, str | Path):
         where = str(source)
-        titles = layout(in_bytes(read_bytes(Path(source), MeasurementError), where), where).titles
+        titles = layout(in_bytes(read_bytes(Path(source), MeasurementError), where), where).names
     else:
         titles = source
     found = set()
@@ -218,8 +219,9 @@ class _BlockReader:
         rows = [cells(text, self._separator, f"{self._where}:{number}") for number, text, _ in block]
         refuse_ragged(rows, len(self._header), block, self._where)
         values: list[Array | tuple[str, ...]] = []
-        for (name, unit, read), column in zip(self._header, zip(*rows, strict=True), strict=True):
-            if not read:
+        for heading, column in zip(self._header, zip(*rows, strict=True), strict=True):
+            name, unit = heading.called, heading.unit
+            if not heading.read:
                 continue
             if unit is None:
                 # Words come again and again: one of each is kept.
@@ -289,9 +291,11 @@ def table_from_arrays(
         return f"{where}:{row}"
 
     values = [
-        _words(column, name, place) if unit is None else _si(column, unit, name, place)
-        for (name, unit, read), column in zip(header, data, strict=True)
-        if read
+        _words(column, heading.called, place)
+        if heading.unit is None
+        else _si(column, heading.unit, heading.called, place)
+        for heading, column in zip(header, data, strict=True)
+        if heading.read
     ]
     return _whole([heading for heading in header if heading.read], values, rows, where, chosen)
 
@@ -312,7 +316,7 @@ def _whole(
     where: str,
     chosen: Columns,
 ) -> Table:
-    columns = {name: Column(name, unit, column) for (name, unit, _), column in zip(header, values, strict=True)}
+    columns = {name: Column(name, unit, column) for (name, unit, *_), column in zip(header, values, strict=True)}
     if chosen.orientation is not None and not (chosen.where_present and _lacking(chosen.orientation, columns)):
         columns = _turned(columns, chosen.orientation, numbers, where)
     return _table(columns, read_only_view(numbers), where)
@@ -365,15 +369,17 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
     wrong: list[str] = []
     unitless: list[str] = []
     commands: list[str] = []
-    for k, title in enumerate(titles):
+    for k, title in enumerate(_named_by_place(titles, {*left, *ours})):
         try:
             name, symbol = _split(title, (*left, *ours))
             symbol = symbol or (units[k] if units else "") or symbol
             if title.strip() in left or name in left:
                 left.pop(title.strip() if title.strip() in left else name)
-                header.append(_Heading(name, None, read=False))
+                header.append(_Heading(name, None, name, read=False))
                 continue
+            called = name
             if (new := ours.pop(title.strip(), None) or ours.pop(name, None)) is not None:
+                called = title.strip()
                 name, given = _split(new)
                 if symbol and given and symbol != given:
                     raise HeaderError(f"column {title!r} is renamed to {new!r}, which has another unit")
@@ -388,7 +394,7 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
             elif not symbol and not (holds_words(name) or name in UNITLESS):
                 unitless.append(name)
             else:
-                header.append(_Heading(name, _unit(name, symbol)))
+                header.append(_Heading(name, _unit(name, symbol), called))
         except HeaderError as e:
             wrong.append(str(e))
     if unitless:
@@ -406,6 +412,11 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
     if wrong:
         raise HeaderError(f"{at}: {'; '.join(wrong[:_LISTED])}.", unitless)
     return header
+
+
+def _named_by_place(titles: Sequence[str], known: Collection[str]) -> list[str]:
+    """Return titles, with the place of a column for its name where it has none and is known by it."""
+    return [title if title.strip() or nameless(k) not in known else nameless(k) for k, title in enumerate(titles)]
 
 
 def no_unit(names: Sequence[str]) -> str:

@@ -230,13 +230,19 @@ def test_cells_that_are_no_numbers_and_columns_without_a_name_are_told(folder: P
     said = run("init", UR10, "a.csv", "-y")
     assert (said.code, said.out) == (1, "")
     assert "column 'x [mm]' is of a point, and '1.234,5' in it is no number" in said.err
+
+
+def test_columns_without_a_name_are_called_by_their_place(folder: Path) -> None:
+    """A separator at the end of every line makes one, and so do the row numbers that pandas writes."""
     put(folder, "no units")
     lines = (folder / "measured.csv").read_text(encoding="utf-8").splitlines()
-    (folder / "measured.csv").write_text("\n".join(f"{line}," for line in lines), encoding="utf-8")
-    assert run("init", UR10, "measured.csv", "-y") == (
-        *(1, ""),
-        "Error: measured.csv: a column has no name (is there a comma too many?).\n",
-    )
+    numbers = ["", *map(str, range(len(lines) - 1))]
+    rows = [f"{number},{line}," for number, line in zip(numbers, lines, strict=True)]
+    (folder / "measured.csv").write_text("\n".join(rows), encoding="utf-8")
+    said = run("init", UR10, "measured.csv", "-y")
+    assert (said.code, said.err) == (0, "")
+    assert "not read: 'column 1', 'column 11'." in " ".join(said.out.split())
+    assert run("check", "calibration.toml").code == 0
 
 
 @pytest.mark.parametrize(

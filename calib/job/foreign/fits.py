@@ -122,7 +122,17 @@ def _why_none(seen: Seen, pick: Pick) -> str:
     joints, point = _columns_of(seen, pick)
     if not (of_dimension(point, "length") and units_of_joints(seen, seen.robot(pick.arm), joints)):
         return f"{seen.titles(pick.joints.columns)} or the point have units of another quantity"
-    return f"{columns} have numbers that no arm has, beyond {_LARGEST:g} rad or m"
+    return f"{columns} have numbers that no arm has, beyond {_LARGEST:g} rad or m{_where_beyond(seen, pick)}"
+
+
+def _where_beyond(seen: Seen, pick: Pick) -> str:
+    """Return in which rows numbers are too large in any unit, for the end of a sentence; "" where these are many."""
+    numbers, rows = _numbers_and_rows(seen, pick)
+    joints, point = _columns_of(seen, pick)
+    least = [UNITS[column.symbol or "deg"].factor for column in joints]
+    least += [UNITS[column.symbol or "mm"].factor for column in point]
+    beyond = rows[(np.abs(numbers[rows] * least) > _LARGEST).any(axis=1)]
+    return f", in {seen.named_rows(beyond.tolist())}" if 0 < len(beyond) <= _MOST_STRAYS else ""
 
 
 def units_of_joints(seen: Seen, robot: Robot, columns: Sequence[RawColumn]) -> list[tuple[str, str]]:

@@ -228,8 +228,6 @@ def _result(seen: Seen, pick: Pick, kind: Kind, names: dict[str, str], orientati
     for column in seen.raw.columns:
         if column.title in taken:
             continue
-        if not column.title.strip():
-            raise MeasurementError(f"{seen.raw.where}: a column has no name (is there a comma too many?).")
         kept = column.name in own | told and column.name not in ours and is_ours(column)
         if not kept:
             ignore.append(column.title)

@@ -43,10 +43,12 @@ class _Way(NamedTuple):
 def orientation_of(seen: Seen, best: Trial) -> tuple[str | None, tuple[int, ...], str] | None:
     """Return convention, columns and unit of the orientation that turns with the arm; None where none does."""
     ways = []
+    torn = False
     for one in best.pick.turned:
         own = [seen.raw.columns[k] for k in one.columns]
         numbers = np.column_stack([values_of(column) for column in own])[best.rows]
         if not np.isfinite(numbers).all():
+            torn = True
             continue
         for convention, order, unit, rotation in _rotations(seen, one, own, numbers):
             angle = turned_along(best.tips, best.fit.base, rotation)
@@ -58,7 +60,7 @@ def orientation_of(seen: Seen, best: Trial) -> tuple[str | None, tuple[int, ...]
                 f"columns: {SCALAR} is to be {scalar!r}, which is no scalar of a quaternion in {seen.raw.where}."
             )
     if not ways or not np.isfinite(best.fit.share):
-        return _only_written(seen, best)
+        return _only_written(seen, best, torn)
     ways.sort(key=lambda way: way.angle)
     way = ways[0]
     if way.angle > _FOLLOWS_ANGLE:
@@ -139,16 +141,18 @@ def _asked(seen: Seen, alike: Sequence[_Way]) -> AskedError:
     return ask("orientation", f"{about} as a quaternion with the scalar {' and '.join(scalars)}", choices, "--column")
 
 
-def _only_written(seen: Seen, best: Trial) -> tuple[str | None, tuple[int, ...], str] | None:
-    """Return an orientation whose columns have our names, where nothing can be tried; else it is left out."""
+def _only_written(seen: Seen, best: Trial, torn: bool) -> tuple[str | None, tuple[int, ...], str] | None:
+    """Return an orientation whose columns have our names, where nothing can be tried; else it is left out.
+
+    ``torn``: rows with a point lack some of its numbers.
+    """
     for one in best.pick.turned:
         names = tuple(seen.raw.columns[k].name for k in one.columns)
         if names == QUATERNION_COLUMNS:
             return None, one.columns, ""
     if best.pick.turned:
-        seen.reasons.append(
-            f"{seen.titles(best.pick.turned[0].columns)} are left out: too few rows tell what orientation they are"
-        )
+        why = "cells of theirs are empty" if torn else "too few rows tell what orientation they are"
+        seen.reasons.append(f"{seen.titles(best.pick.turned[0].columns)} are left out: {why}")
     return None
 
 

@@ -95,7 +95,26 @@ def most_values(size: int) -> int:
 def _checked(sheet: Sheet, data: bytes) -> Sheet:
     if len(sheet.titles) > _MOST_COLUMNS:
         raise MeasurementError(f"{sheet.where}: has {len(sheet.titles)} columns; allowed are {_MOST_COLUMNS}.")
-    return replace(sheet, size=len(data))
+    titles = _told_apart(sheet.titles)
+    again = [new for new, title in zip(titles, sheet.titles, strict=True) if new != title]
+    said = (f"columns of one title are numbered: {listed(again)}",) if again else ()
+    return replace(sheet, titles=titles, remarks=(*sheet.remarks, *said), size=len(data))
+
+
+def _told_apart(titles: Sequence[str]) -> tuple[str, ...]:
+    """Return titles of which each comes once: ``X [mm]`` becomes ``X 2 [mm]`` where it comes again."""
+    taken = set(titles)
+    seen: set[str] = set()
+    found = []
+    for title in titles:
+        name, _, unit = title.partition("[")
+        number, new = 1, title
+        while new in seen or (number > 1 and new in taken):
+            number += 1
+            new = f"{name.strip()} {number}{' [' if unit else ''}{unit}"
+        seen.add(new)
+        found.append(new)
+    return tuple(found)
 
 
 def _of_log(data: bytes, where: str, part: str | None) -> Sheet | None:
@@ -153,7 +172,7 @@ def _is_whole(sheet: Sheet) -> bool:
 
 def _of_table(data: bytes, where: str) -> Sheet:
     form = layout(data, where)
-    titles = with_units(form.titles, form.units)
+    titles = with_units(form.names, form.units)
     rows: list[tuple[str, ...]] = []
     for block in lines(data, where):
         found = [line for line in block if line.number > form.last]
