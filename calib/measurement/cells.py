@@ -22,9 +22,16 @@ _OTHERS = {
     b"MATLAB 5.0 MAT-file": _MATLAB,
     b"MATLAB 7.3 MAT-file": _MATLAB,
     b"\x89HDF": "is HDF5, and no text; numpy.savez writes an .npz, of which calib import makes a table.",
+    b"PAR1": "is Parquet, and no text; write it as CSV, as DataFrame.to_csv() of pandas does.",
+    **dict.fromkeys(
+        (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"),
+        "is a pickle of Python, which may run code and is not read; numpy.savez writes an .npz, of which calib import "
+        "makes a table.",
+    ),
     b"\x1f\x8b": "is packed by gzip, and no text; unpack it: gzip -d.",
     b"\x93NUMPY": "is an array of NumPy, and no text; numpy.savez writes an .npz, of which calib import makes a table.",
 }
+_XML = (b"<?xml", b"<!--", b"<robot")
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # What exporters write before a line that is no row; behind a percent sign a name may stand, as rostopic has it: %time.
 _COMMENT = re.compile(r"\s*(?:#|//|%(?:$|[\s%=-]))")
@@ -105,6 +112,8 @@ def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
     for begin, said in _OTHERS.items():
         if data.startswith(begin):
             raise MeasurementError(f"{where}: {said}")
+    if data[:1000].removeprefix(b"\xef\xbb\xbf").lstrip().startswith(_XML):
+        raise MeasurementError(f"{where}: is XML, and no table; write the numbers that it holds into one.")
     if (nul := data.find(b"\0")) >= 0:
         raise MeasurementError(f"{where}:{_line_at(data, nul)}: has a NUL byte; a table is UTF-8 text.")
     start, number = len(b"\xef\xbb\xbf") if data.startswith(b"\xef\xbb\xbf") else 0, 1

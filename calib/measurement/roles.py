@@ -5,7 +5,7 @@ Nothing is decided here: candidates are listed, and what the arm follows decides
 
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 from unicodedata import normalize
@@ -25,7 +25,8 @@ def _words(text: str) -> frozenset[str]:
 
 _MEASURED = _words("measured measurement measure meas actual act real feedback fbk tracker leica faro cmm")
 _COMMANDED = _words(
-    "goal target cmd command commanded desired des setpoint set ref reference nominal theoretical planned model"
+    "goal target cmd command commanded desired des setpoint set ref reference nominal theoretical planned model ctrl "
+    "action"
 )
 # Numbers of a joint, or along an axis, that are no position.
 _NO_POSITION = _words(
@@ -38,7 +39,7 @@ TORQUES = _words("tau torque torques effort")
 SPREADS = _words("std stdev stddev sigma sd")
 # What as many numbers of an orientation are.
 _SIZES: dict[int, Literal["angles", "quaternion", "matrix"]] = {3: "angles", 4: "quaternion", 9: "matrix"}
-_TURNS = _words("r rot rotation phi theta euler ang angle angles orientation ori rv rvec rotvec w o")
+_TURNS = _words("r rot rotation phi theta euler ang angle angles orientation ori orn rv rvec rotvec w o")
 _PLACES = _words("p pos position t trans translation")
 _QUATERNION = frozenset(("q", "quat", "quaternion"))
 _POSE = frozenset(("pose", "tcp", "cartesian", "cart"))
@@ -197,6 +198,14 @@ def would_be_points(table: RawTable) -> list[int]:
     return sorted({k for found in points for k in found.values() if table.columns[k].numbers is None})
 
 
+def would_be_joints(table: RawTable, counts: Collection[int]) -> list[int]:
+    """Return the columns that differ by a number, as many as one of ``counts``, whatever their cells hold."""
+    parts = [tokens(column.name) for column in table.columns]
+    families = _families(parts, range(len(parts))) if table.named else ()
+    joints = [f for f in families if len(f.columns) in counts and not (f.words & _NO_POSITION or f.is_pose)]
+    return sorted({k for family in joints for k in family.columns})
+
+
 def _is_of_unit_length(table: RawTable, columns: Sequence[int]) -> bool:
     numbers = [table.columns[k].numbers for k in columns]
     size = np.sqrt(sum(np.square(np.clip(values, -2.0, 2.0)) for values in numbers if values is not None))
@@ -282,7 +291,7 @@ def _vector(table: RawTable, family: "Family") -> Point | Orientation | None:
     if len(columns) not in (3, 4) or words & (_NO_POSITION | _OF_JOINTS - _VECTORS_OF_TURNS):
         return None
     if len(columns) == 4:
-        turns = words & _VECTORS_OF_TURNS and _is_of_unit_length(table, columns)
+        turns = words & (_VECTORS_OF_TURNS | _QUATERNION - {"q"}) and _is_of_unit_length(table, columns)
         return Orientation(columns, "quaternion", None, words) if turns else None
     if words & _VECTORS_OF_TURNS:
         vector = "rotation_vector" if words & {"rvec", "rotvec", "rv"} else None

@@ -526,7 +526,11 @@ def test_columns_of_arrays_are_read(folder: Path) -> None:
         ("a.json", '[{"a":1,"a":2}]', "a.json: is not JSON that can be read: it has 'a' twice in one object."),
         ("a.json", '[{"c.d":3,"c":{"d":4}}]', "a.json: record 1 has two values of the name 'c.d'."),
         ("a.json", "{}", "a.json: has no rows."),
-        ("arm.urdf", '<robot name="a">\n</robot>\n', "arm.urdf: is XML, and no table."),
+        (
+            "arm.urdf",
+            '<robot name="a">\n</robot>\n',
+            "arm.urdf: is XML, and no table; write the numbers that it holds into one.",
+        ),
     ],
 )
 def test_what_cannot_be_read(folder: Path, name: str, contents: str, sentence: str) -> None:

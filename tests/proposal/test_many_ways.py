@@ -67,4 +67,4 @@ def test_of_very_many_long_arms_a_few_are_looked_at(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(seen, "load_robot", load)
     assert propose(urdf, [table]).questions
     assert loaded.count(121) == 8, "a thousand joints in all"
-    assert sum(loaded) <= 2000, "and a thousand of those that are taken by their numbers"
+    assert sum(loaded) <= 3000, "a thousand of those that are taken by their numbers, and of those before fingers"

@@ -1,5 +1,6 @@
 """Files that other programs write, and people type: what their tables have above, below and between the numbers."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -131,3 +132,147 @@ def test_decimal_commas_are_suspected_only_where_commas_part_the_cells(folder: P
     (folder / "a.csv").write_text("a,b\n1,2\n1,2,3\n")
     with pytest.raises(calib.MeasurementError, match="if these are decimal commas"):
         read_sheet("a.csv")
+
+
+@pytest.mark.parametrize("cell", ["{:.4f}°", "{:.4f} deg", "−{:.4f}"])
+def test_cells_with_a_unit_are_named_by_the_joint_that_they_would_be(folder: Path, cell: str) -> None:
+    lines = [[cell.format(abs(value)) for value in row] for row in degrees().tolist()]
+    points = rows([mm()])
+    table = [",".join([*joints, point]) for joints, point in zip(lines, points, strict=True)]
+    (folder / "measured.csv").write_text("\n".join([",".join([*JOINTS, "X", "Y", "Z"]), *table]), encoding="utf-8")
+    said = run("init", UR10, "measured.csv", "-y")
+    assert said.err == (
+        f"Error: measured.csv: column 'J1' is of a joint, and '{lines[0][0]}' in it is no number, like 12.5 or "
+        "1.25e1.\n"
+    )
+
+
+def test_one_word_among_a_joints_numbers_is_named_and_no_shorter_arm_is_taken(folder: Path) -> None:
+    lines = [",".join([*JOINTS, "X", "Y", "Z"]), *rows([degrees(), mm()]), ",,,,,Mean:,1,2,3"]
+    (folder / "measured.csv").write_text("\n".join(lines))
+    said = run("init", UR10, "measured.csv", "-y")
+    assert "column 'J6' is of a joint, and 'Mean:' in it is no number" in said.err
+    lines[-1] = lines[0]  # the header again
+    (folder / "measured.csv").write_text("\n".join(lines))
+    said = run("init", UR10, "measured.csv", "-y")
+    assert "column 'J1' is of a joint, and 'J1' in it is no number" in said.err
+
+
+@pytest.mark.parametrize(
+    ("contents", "says"),
+    [
+        (b"PAR1\x15\x04", "is Parquet, and no text; write it as CSV, as DataFrame.to_csv() of pandas does."),
+        (b"\x80\x04\x95\0", "is a pickle of Python, which may run code and is not read;"),
+        (b'\xef\xbb\xbf<?xml version="1.0"?>\n<Database/>\n', "is XML, and no table; write the numbers"),
+        (
+            b"Format Version,1.23,Take Name,a\n\n,Type\n",
+            "is an export of Motive; calib import a.bin -o table.csv",
+        ),
+    ],
+)
+def test_what_is_no_table_says_what_to_do(folder: Path, contents: bytes, says: str) -> None:
+    (folder / "a.bin").write_bytes(contents)
+    said = run("init", UR10, "a.bin", "-y")
+    assert said.code == 1
+    assert said.err.startswith(f"Error: a.bin: {says}")
+
+
+def test_yaml_of_opencv_is_told_from_broken_yaml(folder: Path) -> None:
+    (folder / "a.yaml").write_text("%YAML:1.0\n---\nT: !!opencv-matrix\n   rows: 1\n")
+    with pytest.raises(calib.MeasurementError, match=r"^a\.yaml: is of OpenCV, whose YAML is not read;"):
+        read_sheet("a.yaml")
+
+
+def test_vectors_in_archives_stand_lie_or_are_one_pose(folder: Path) -> None:
+    seen = session()
+    vector = Rotation.from_matrix(seen.rotation).as_rotvec()
+    np.savez("many.npz", q=seen.readings, tvec=seen.position[:, :, None], rvec=vector[:, None, :])
+    assert run("import", "many.npz", "-o", "many.csv").code == 0
+    found = calib.measuring.propose(UR10, ["many.csv"])
+    assert found.tables[0].columns.names["x [m]"] == "tvec_x"
+    assert found.tables[0].columns.orientation == "rotation_vector"
+    for k in range(40):
+        np.savez(f"pose_{k}.npz", q=seen.readings[k], tvec=seen.position[k][:, None], rvec=vector[k][:, None])
+    said = run("import", *(f"pose_{k}.npz" for k in range(40)), "--stack", "image", "-o", "poses.csv")
+    assert said.code == 0
+    assert "the arrays are those of one pose, and one row." in said.out
+    found = calib.measuring.propose(UR10, ["poses.csv"])
+    assert not found.questions
+    assert found.tables[0].columns.orientation == "rotation_vector"
+
+
+@pytest.mark.parametrize(
+    ("shapes", "rows_"),
+    [
+        ({"rvec": (3, 1), "tvec": (3, 1)}, 1),  # as OpenCV's solvePnP gives them
+        ({"R": (3, 3), "t": (3, 1)}, 1),
+        ({"q": (6,), "T": (4, 4)}, 1),
+        ({"q": (6, 6), "p": (6, 3)}, 6),
+        ({"x": (9,), "y": (9,), "z": (9,), "K": (3, 3)}, 9),
+        ({"q": (3, 6), "p": (3, 3)}, 3),
+    ],
+)
+def test_small_arrays_are_one_row_where_they_are_no_columns(
+    folder: Path, shapes: dict[str, tuple[int, ...]], rows_: int
+) -> None:
+    rng = np.random.default_rng(1)
+    np.savez("a.npz", **{name: rng.uniform(size=shape) for name, shape in shapes.items()})
+    assert len(read_sheet("a.npz").rows) == rows_
+
+
+@pytest.mark.parametrize(("names", "positions"), [("joints", "positions"), ("joint_names", "joint_positions")])
+def test_lists_of_names_and_of_readings_are_columns_of_these_names(folder: Path, names: str, positions: str) -> None:
+    order = [f"joint_{k}" for k in (3, 1, 2)]
+    records = [{names: order, positions: [0.3, 0.1, k], "features": ["a", "b"]} for k in range(3)]
+    (folder / "a.json").write_text(json.dumps(records))
+    (folder / "a.yaml").write_text(json.dumps(records))
+    for file in ("a.json", "a.yaml"):
+        sheet = read_sheet(file)
+        assert sheet.titles == (*order, "features_0", "features_1")
+        assert sheet.rows[2][:3] == ("0.3", "0.1", "2")
+
+
+def test_a_gripper_in_percent_is_no_joint_of_the_arm(folder: Path) -> None:
+    """LeRobot records it with the arm's joints, and its URDF has another tip beside the jaw."""
+    arm = "example:so_arm_description/urdf/so101.urdf"
+    seen = session(arm, "gripper_frame_link")
+    titles = [f"{joint}.pos" for joint in ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")]
+    columns = [np.degrees(seen.readings), np.linspace(0.0, 100.0, 40), 1e3 * seen.position]
+    for joints in ([*titles, "gripper.pos"], [f"observation.state_{k}" for k in range(6)]):
+        (folder / "measured.csv").write_text(text([*joints, "x [mm]", "y [mm]", "z [mm]"], columns))
+        found = calib.measuring.propose(arm, ["measured.csv"])
+        assert found.robot.tip == "gripper_frame_link"
+        assert found.tables[0].columns.ignore == (joints[5],)
+    low, high = (np.degrees([getattr(r, end) for r in found.robot.readings]) for end in ("lower", "upper"))
+    columns[0] = 200.0 * (columns[0] - low) / (high - low) - 100.0  # of its range, as it does by default
+    (folder / "measured.csv").write_text(text([*joints, "x [mm]", "y [mm]", "z [mm]"], columns))
+    assert "no way to read the columns fits the arm" in run("init", arm, "measured.csv", "-y").err
+
+
+@pytest.mark.parametrize(("point", "turn", "w"), [("ee_pos", "ee_orn", 3), ("marker.pos", "marker.quat", 0)])
+def test_quaternions_in_lists_are_orientations(folder: Path, point: str, turn: str, w: int) -> None:
+    xyzw = Rotation.from_matrix(session().rotation).as_quat()
+    titles = [*JOINTS, *(f"{point}_{k}" for k in range(3)), *(f"{turn}_{k}" for k in range(4)), "ctrl_0"]
+    columns = [degrees(), mm(), np.roll(xyzw, 0 if w == 3 else 1, axis=1), degrees()[:, 0]]
+    (folder / "measured.csv").write_text(text(titles, columns))
+    found = calib.measuring.propose(UR10, ["measured.csv"])
+    assert found.tables[0].columns.names["qw"] == f"{turn}_{w}"
+
+
+def test_readings_that_were_only_commanded_are_told_by_the_words_of_simulators(folder: Path) -> None:
+    titles = [*(f"qpos_{k}" for k in range(6)), *(f"ctrl_{k}" for k in range(6)), "x", "y", "z"]
+    commanded = degrees() + 0.01 * np.random.default_rng(1).standard_normal((40, 6))
+    (folder / "measured.csv").write_text(text(titles, [degrees(), commanded, mm()]))
+    found = calib.measuring.propose(UR10, ["measured.csv"])
+    assert found.tables[0].columns.names["shoulder_pan_joint [deg]"] == "qpos_0"
+
+
+def test_frames_that_were_lost_are_said_where_joints_have_more_rows(folder: Path) -> None:
+    head = "Format Version,1.23,Take Name,a,Rotation Type,Quaternion,Length Units,Meters\n\n"
+    head += ",Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body\n"
+    head += ",Name" + 7 * ",tool" + "\n,ID" + 7 * ",1" + "\n,,Rotation,Rotation,Rotation,Rotation"
+    head += ",Position,Position,Position\nFrame,Time (Seconds),X,Y,Z,W,X,Y,Z\n"
+    (folder / "a.csv").write_text(head + "0,0.0,0,0,0,1,1,2,3\n1,0.1,,,,,,,\n2,0.2,0,0,0,1,1,2,4\n")
+    (folder / "joints.csv").write_text("J1,J2\n1,2\n3,4\n5,6\n")
+    said = run("import", "joints.csv", "a.csv", "-o", "both.csv")
+    assert said.err.endswith("; the rigid body 'tool' of Motive; 1 frame that lost it is left out.\n")

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 from calib.foundations.errors import MeasurementError, RobotError
 from calib.foundations.words import counted, listed, shown
@@ -18,6 +19,8 @@ from calib.measurement.raw import RawColumn, of_lists
 _MOST_READ, _MOST_JOINTS_READ = 48, 1000
 # Joints beyond an arm.
 _FINGER = re.compile(r"finger|grip|hand|jaw|knuckle|thumb|claw|palm", re.IGNORECASE)
+# What may be meant as a number: 12.5 mm, or with another minus than a keyboard's.
+_BEGINS_NUMBER = re.compile(r"[-+\u2212\u2013]?[.,]?[0-9]")
 # A run of numbered columns that may be the end of a longer arm.
 _FEWEST_JOINTS = 4
 
@@ -68,7 +71,23 @@ def _turned(seen: Seen, point: roles.Point | None, joints: roles.Joints) -> tupl
         return ()
     own = {*point.columns, *joints.columns}
     free = tuple(one for one in every if not own & set(one.columns))
-    aside = {"rot", "rotation", "quat", "q", "r", "phi", "euler", "orientation", "ori", "p", "pos", "position", "t"}
+    aside = {
+        "rot",
+        "rotation",
+        "orn",
+        "quaternion",
+        "quat",
+        "q",
+        "r",
+        "phi",
+        "euler",
+        "orientation",
+        "ori",
+        "p",
+        "pos",
+        "position",
+        "t",
+    }
     aside |= {"trans", "translation", "tvec", "rvec", "rotvec", "rv", "o", "w", "coord", "xyz", "point"}
     alike = tuple(one for one in free if one.words - aside == point.words - aside)
     return alike or (free if len(_points(seen)) == 1 else ())
@@ -176,10 +195,24 @@ def _as_answered(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
     return held
 
 
+def without_fingers(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
+    """Return picks of arms that end with fingers, such as a gripper in percent, as those of the arms before them."""
+    arms = {arm.joints: arm for arm in reversed(seen.arms)}
+    found = []
+    for pick in picks:
+        joints = pick.arm.joints
+        count = next((k for k in range(len(joints), 0, -1) if not _is_finger(seen, joints[k - 1])), 0)
+        arm = arms.get(joints[:count])
+        if arm is not None and count < len(joints):
+            own = pick.joints._replace(columns=pick.joints.columns[:count])
+            found.append(replace(pick, arm=arm, joints=own))
+    return found
+
+
 def no_joints(seen: Seen) -> Exception:
     """Return what to raise where no column is a joint."""
-    for column, wrong in _not_numbers(_of_joints(seen)):
-        return _no_number(seen, column, wrong, "joint")
+    if (torn := no_number_of_joint(seen)) is not None:
+        return torn
     if any(begins_list(text) for column in seen.raw.columns for text in (column.title, *column.words[:1])):
         return of_lists(seen.raw.where)
     there = listed([column.title for column in seen.raw.columns])
@@ -201,6 +234,15 @@ def no_joints(seen: Seen) -> Exception:
     return MeasurementError(
         f"{seen.raw.where}: no column is a joint of the arm ({run_of(longest)}); the columns are {there}{way}."
     )
+
+
+def no_number_of_joint(seen: Seen) -> Exception | None:
+    """Return what to raise where columns have names or numbers of joints, and cells that are none; None else."""
+    numbered = roles.would_be_joints(seen.raw, {len(arm.joints) for arm in seen.arms})
+    for column, wrong in _not_numbers([*_of_joints(seen), *(seen.raw.columns[k] for k in numbered)]):
+        if any(_BEGINS_NUMBER.match(word) for word in column.words):
+            return _no_number(seen, column, wrong, "joint")
+    return None
 
 
 def no_point(seen: Seen) -> Exception | None:

@@ -13,7 +13,7 @@ from calib.foundations.words import listed
 from calib.identification.followed import FEWEST_ROWS, pivots
 from calib.job.foreign import fits
 from calib.job.foreign.answers import Answers, Found, Pick, Trial, ask, of_dimension, run_of, values_of
-from calib.job.foreign.picks import no_joints, no_point, picks_of
+from calib.job.foreign.picks import no_joints, no_number_of_joint, no_point, picks_of, without_fingers
 from calib.job.foreign.seen import CHOSEN, Seen, is_ours
 from calib.job.foreign.turns import inverse_question, orientation_of
 from calib.measurement.kinds import Kind
@@ -45,6 +45,9 @@ def _positions(seen: Seen, picks: Sequence[Pick]) -> Found:
     trials = fits.trials(seen, picks, ("m", "mm"))
     if not any(trial.fit.share < fits.FOLLOWS for trial in trials):
         trials += fits.trials(seen, fits.without_unit(seen, picks), ("cm", "inch"), len(trials))
+    if not any(trial.fit.share < fits.FOLLOWS for trial in trials):
+        shorter = fits.trials(seen, without_fingers(seen, picks), ("m", "mm"), len(trials))
+        trials = shorter if any(trial.fit.share < fits.ALIKE for trial in shorter) else trials
     trials.sort(key=lambda trial: trial.fit.share)
     enough = trials and len(trials[0].rows) >= FEWEST_ROWS
     if enough and trials[0].fit.share < fits.FOLLOWS:
@@ -56,6 +59,8 @@ def _positions(seen: Seen, picks: Sequence[Pick]) -> Found:
         raise inverse
     elif not seen.raw.named and len({pick.point for pick in picks}) > 1:
         raise no_joints(seen)  # columns that nothing names, and no way that fits: which are meant, only a person knows
+    elif (torn := no_number_of_joint(seen)) is not None:
+        raise torn  # without these joints the rest would be a shorter arm
     else:
         best = fits.by_ranges(seen, trials, picks, bool(enough))
     return _posed(seen, best)
@@ -92,6 +97,8 @@ def _posed(seen: Seen, best: Trial) -> Found:
 def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
     kind, where = seen.answers.observes, seen.raw.where
     known = seen.known
+    if (torn := no_number_of_joint(seen)) is not None:
+        raise torn
     if kind is None and known.pixels is not None:
         raise MeasurementError(
             f"{where}: u and v are pixels, and no table says of which camera; from photographs, calib import images "
@@ -123,7 +130,8 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
             raise wrong
         raise ask(
             "observes",
-            f"{where}: {seen.titles(pick.joints.columns)} are joints, and no column says what was measured there",
+            f"{where}: {seen.titles(pick.joints.columns)} {'are' if seen.raw.named else 'may be'} joints, and no "
+            "column says what was measured there",
             (),
             "a column of the point (x, y, z), of a socket's name, or a length with a target; calib import joins joints "
             "and points that are in two files",

@@ -10,7 +10,7 @@ import warnings
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -28,6 +28,8 @@ _LARGEST = 200_000_000
 _MOST_COLUMNS = 1000
 # A megabyte of zeros unpacks to all that is allowed above, and each of them becomes a word.
 _MOST_VALUES = 4_000_000
+# Of one pose: a matrix of 4 by 4, and a quaternion.
+_LARGEST_OF_RECORD, _LONGEST_STANDING = 16, 4
 # Of MATLAB's kinds those that are matrices of numbers, and its mark of a packed element.
 _OF_NUMBERS = frozenset(("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))))
 _PACKED = 15
@@ -159,6 +161,9 @@ def _class_and_name(head: bytes, order: str) -> tuple[bool, str | None]:
 
 
 def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[str], where: str) -> Rows:
+    if _are_one_record(arrays.values()):
+        return _as_record(arrays, names, where)
+    arrays = {name: _without_single_axis(array) for name, array in arrays.items()}
     counts = Counter(len(array) for array in arrays.values())
     if not counts:
         raise MeasurementError(f"{where}: holds no arrays of numbers or words, with a row for every measurement.")
@@ -176,6 +181,39 @@ def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[s
     what = "is no array" if len(left) == 1 else "are no arrays"
     said = (f"{listed(left)} {what} of numbers or words with {counted(rows, 'row')}, and left out",) if left else ()
     return [title for title, _ in columns], list(zip(*(cells for _, cells in columns), strict=True)), said
+
+
+def _are_one_record(arrays: Collection[npt.NDArray[np.generic]]) -> bool:
+    """Return whether small arrays are the vectors and matrices of one pose, and no columns.
+
+    They are if their lengths differ and no two share one that is longer than a quaternion; or if they are vectors that
+    stand (3, 1), as OpenCV has them, alone or beside matrices.
+    """
+    if not arrays or any(array.ndim > 2 or array.size > _LARGEST_OF_RECORD for array in arrays):
+        return False
+    lengths = Counter(map(len, arrays))
+    if len(lengths) > 1:
+        return all(count == 1 for length, count in lengths.items() if length > _LONGEST_STANDING)
+    standing = [array for array in arrays if array.shape[1:] == (1,)]
+    others = [array for array in arrays if array.shape[1:] != (1,)]
+    return bool(standing) and max(lengths) in (3, 4) and all(array.shape[1:] in ((3,), (4,)) for array in others)
+
+
+def _as_record(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[str], where: str) -> Rows:
+    """Return titles and cells of arrays that are one row."""
+    for name in arrays:
+        refuse_long_name(name, where)
+    every = {name: _without_single_axis(array[np.newaxis]) for name, array in arrays.items()}
+    columns = [column for name, array in every.items() for column in _columns(name, array)]
+    left = [name for name in names if name not in arrays]
+    said = ["the arrays are those of one pose, and one row"]
+    said += [f"{listed(left)} {'is' if len(left) == 1 else 'are'} left out"] if left else []
+    return [title for title, _ in columns], [[cells[0] for _, cells in columns]], tuple(said)
+
+
+def _without_single_axis(array: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    """Return rows of vectors that stand (N, 3, 1), or lie (N, 1, 3), as rows (N, 3)."""
+    return array.reshape(len(array), -1) if array.ndim == 3 and 1 in array.shape[1:] else array
 
 
 def _readable(held: "np.lib.npyio.NpzFile", name: str) -> npt.NDArray[np.generic] | None:

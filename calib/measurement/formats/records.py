@@ -4,6 +4,7 @@ Lists in a record are numbered. A ``sensor_msgs/JointState`` is one record: its 
 ``position`` s their cells.
 """
 
+import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
@@ -20,6 +21,8 @@ _DEEPEST = 8
 _MOST_CELLS = 5_000_000
 _LONGEST_LIST = 1000
 _OF_JOINTS = ("name", "position", "velocity", "effort")
+# What lists of joints' names are called, and of where they are: of ROS, MoveIt, robot_calibration.
+_NAMES, _READINGS = ("name", "joint_names", "joints"), ("position", "positions", "joint_positions")
 # What pandas writes with orient="split".
 _SPLIT = ({"columns", "data"}, {"columns", "index", "data"})
 # A list of no more values may be one vector or one matrix of 4 by 4, as well as a column.
@@ -43,6 +46,11 @@ def from_json(data: bytes, where: str) -> Rows:
 
 def from_yaml(data: bytes, where: str) -> Rows:
     """Return titles and cells of records in YAML, in one document or several. Needs the package pyyaml."""
+    if data.startswith(b"%YAML:"):
+        raise MeasurementError(
+            f"{where}: is of OpenCV, whose YAML is not read; numpy.savez writes an .npz, of which calib import makes a "
+            "table."
+        )
 
     def documents_of(yaml: Any, text: str, loader: Any) -> list[Any]:
         nodes = yaml.compose_all(text, loader)
@@ -155,8 +163,7 @@ def _of_mappings(found: Mapping[str, Mapping[str, Any]], where: str) -> list[Any
 def _of_columns(found: Mapping[str, Any], where: str) -> list[Any] | None:
     """Return the records of columns, lists of one length; None where this is one record that has lists."""
     counts = {len(value) if isinstance(value, list) else -1 for value in found.values()}
-    names = found.get("name")
-    if len(counts) != 1 or (count := counts.pop()) < 1 or (isinstance(names, list) and "position" in found):
+    if len(counts) != 1 or (count := counts.pop()) < 1 or _names_and_readings(found) is not None:
         return None
     if count <= _LONGEST_VECTOR:
         raise MeasurementError(
@@ -214,15 +221,9 @@ def _flat(node: Any, name: str, depth: int, where: str) -> Iterator[tuple[str, s
         raise MeasurementError(f"{where}: is nested too deep.")
     refuse_long_name(name, where)
     if isinstance(node, Mapping):
-        names, positions = node.get("name"), node.get("position")
-        if (
-            isinstance(names, list)
-            and isinstance(positions, list)
-            and _are_words(names)
-            and len(names) == len(positions)
-        ):
-            yield from ((one, _cell(value)) for one, value in zip(names, positions, strict=True))
-            node = {key: value for key, value in node.items() if key not in _OF_JOINTS}
+        if (of_joints := _names_and_readings(node)) is not None:
+            yield from ((one, _cell(value)) for one, value in zip(*(node[key] for key in of_joints), strict=True))
+            node = {key: value for key, value in node.items() if key not in (*_OF_JOINTS, *of_joints)}
         for key, value in node.items():
             yield from _flat(value, f"{name}.{key}" if name else str(key), depth + 1, where)
     elif isinstance(node, list):
@@ -232,6 +233,17 @@ def _flat(node: Any, name: str, depth: int, where: str) -> Iterator[tuple[str, s
             yield from _flat(value, f"{name}_{k}", depth + 1, where)
     else:
         yield name, _cell(node)
+
+
+def _names_and_readings(node: Mapping[str, Any]) -> tuple[str, str] | None:
+    """Return under which keys the names of joints stand, and as many numbers for them; None where they do not."""
+    for names, readings in itertools.product(_NAMES, _READINGS):
+        called, numbers = node.get(names), node.get(readings)
+        if not (isinstance(called, list) and isinstance(numbers, list) and len(called) == len(numbers)):
+            continue
+        if _are_words(called) and not any(isinstance(one, list | Mapping) for one in numbers):
+            return names, readings
+    return None
 
 
 def _are_words(names: Sequence[Any]) -> bool:

@@ -22,7 +22,6 @@ _MOST_VALUES = 5_000_000
 # Columns that may name rows: no sheet names its rows so often. Each is compared with each of another sheet, name by
 # name, so that of many names there are fewer.
 _MOST_NAMING, _FEWEST_NAMING, _MOST_NAMES = 100, 3, 1_000_000
-_XML = (b"<?xml", b"<!--", b"<robot")
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +139,6 @@ def _with_names_of_log(sheet: Sheet) -> Sheet:
 def _of_text(data: bytes, where: str, part: str | None) -> Sheet:
     """Return the sheet of a table, or of statements with lists of numbers where a table would tear these apart."""
     data = in_bytes(data, where)
-    if data.lstrip().startswith(_XML):
-        raise MeasurementError(f"{where}: is XML, and no table.")
     beginning(data, where)  # what is no text says so
     if (found := matrices.from_matrices(data, where)) is not None:
         return Sheet(tuple(found[0]), tuple(map(tuple, found[1])), where, found[2])
@@ -258,8 +255,10 @@ def _timed(sheet: Sheet) -> bool:
 
 def _in_order(first: Sheet, second: Sheet, refused: str) -> Sheet:
     if len(first.rows) != len(second.rows):
+        left = [f"; {remark}" for sheet in (first, second) for remark in sheet.remarks if "left out" in remark]
         raise MeasurementError(
-            f"{first.where} has {counted(len(first.rows), 'row')} and {second.where} {len(second.rows)}, and {refused}."
+            f"{first.where} has {counted(len(first.rows), 'row')} and {second.where} {len(second.rows)}, and {refused}"
+            f"{''.join(left)}."
         )
     rows = tuple((*a, *b) for a, b in zip(first.rows, second.rows, strict=True))
     said = f"{counted(len(rows), 'row')} joined in their order"
