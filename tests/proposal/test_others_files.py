@@ -276,3 +276,28 @@ def test_frames_that_were_lost_are_said_where_joints_have_more_rows(folder: Path
     (folder / "joints.csv").write_text("J1,J2\n1,2\n3,4\n5,6\n")
     said = run("import", "joints.csv", "a.csv", "-o", "both.csv")
     assert said.err.endswith("; the rigid body 'tool' of Motive; 1 frame that lost it is left out.\n")
+
+
+def test_one_group_of_all_rows_holds_nothing_back(folder: Path) -> None:
+    words = {"group": "A", "tool": "tool0", "setup": "cell"}
+    columns = [degrees(), mm(), *(np.full(40, word) for word in words.values())]
+    (folder / "measured.csv").write_text(text([*JOINTS, *"XYZ", *words], columns))
+    assert calib.measuring.propose(UR10, ["measured.csv"]).tables[0].columns.ignore == ("group",)
+    assert run("init", UR10, "measured.csv", "-y").code == 0
+
+
+def test_a_unit_that_is_not_known_is_said(folder: Path) -> None:
+    titles = [*(f"J{k} [gon]" for k in range(1, 7)), *"XYZ"]
+    (folder / "measured.csv").write_text(text(titles, [degrees() / 0.9, mm()]))
+    said = run("init", UR10, "measured.csv", "-y")
+    assert said.err.startswith(
+        "Error: measured.csv: column 'J1 [gon]' has a unit that is not known; answer by --column"
+    )
+
+
+def test_columns_that_may_be_the_joints_are_named(folder: Path) -> None:
+    rng = np.random.default_rng(1)
+    titles = [*(f"{word}_{k}" for word in ("first", "second") for k in range(6)), *"XYZ"]
+    (folder / "measured.csv").write_text(text(titles, [rng.uniform(-90.0, 90.0, (40, 12)), mm()]))
+    said = run("init", UR10, "measured.csv", "-y")
+    assert "several columns may be the joints, first_0 to first_5 or second_0 to second_5, and the rows do" in said.err

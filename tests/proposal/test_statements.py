@@ -264,3 +264,15 @@ def test_a_list_in_a_list_of_its_own_number_keeps_the_name(folder: Path, form: s
     sheet = made(folder, "".join(form.format(k, row(np.array((k, 2.0, -3.0, 4.5)), ", ")) + "\n" for k in range(3)))
     assert sheet.titles == ("q", "q_0", "q_1", "q_2", "q_3")
     assert sheet.rows[2] == ("2", "2.000000", "2.000000", "-3.000000", "4.500000")
+
+
+@pytest.mark.parametrize("minus", ["-", "\u2212", "- ", "\u2212 ", "-\t"])
+def test_a_minus_that_stands_apart_or_is_of_typesetters_is_one(folder: Path, minus: str) -> None:
+    rows = (f"pose-{k}: q=[{minus}0.5, 2.5, {minus}{k}.25] r=({minus}1 2 3)\n" for k in range(3))
+    (folder / "a.txt").write_text("".join(rows), encoding="utf-8")
+    sheet = read_sheet("a.txt")
+    assert sheet.rows[2][1:] == ("-0.5", "2.5", "-2.25", "-1", "2", "3")
+
+
+def test_a_difference_is_no_number_below_zero(folder: Path) -> None:
+    assert made(folder, "q=[1 - 2, 3, 4]\nq=[2 - 3, 3, 4]\n").rows[0] == ("1", "2", "3", "4")

@@ -9,7 +9,7 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import MM, UNITS
-from calib.foundations.words import first_of
+from calib.foundations.words import first_of, shown
 from calib.identification.followed import FEWEST_ROWS, Followed, followed, strays
 from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension, run_of, values_of
 from calib.job.foreign.seen import Seen
@@ -120,6 +120,8 @@ def _why_none(seen: Seen, pick: Pick) -> str:
             "several."
         )
     joints, point = _columns_of(seen, pick)
+    if (unknown := next((c.title for c in (*joints, *point) if c.dimension == "unknown"), None)) is not None:
+        return f"column {shown(unknown)} has a unit that is not known"
     if not (of_dimension(point, "length") and units_of_joints(seen, seen.robot(pick.arm), joints)):
         return f"{seen.titles(pick.joints.columns)} or the point have units of another quantity"
     return f"{columns} have numbers that no arm has, beyond {_LARGEST:g} rad or m{_where_beyond(seen, pick)}"
@@ -331,7 +333,7 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
         raise ask("columns", f"{where}: {_why_none(seen, picks[0])}", (), "--column 'NAME [UNIT]=TITLE'")
     pick = trials[0].pick
     if len({(t.pick.joints.columns, t.pick.arm) for t in trials}) > 1:
-        raise ask("joints", f"{where}: several columns may be the joints", (), "--column 'JOINT=TITLE' or --tip")
+        raise several_joints(seen, [t.pick for t in trials])
     written = all(seen.raw.columns[k].symbol is not None for k in (*pick.joints.columns, *trials[0].point.columns))
     answered = seen.answers.angles is not None and seen.answers.lengths is not None
     if enough and not any(changes(seen.raw, k) for k in trials[0].point.columns):
@@ -364,6 +366,23 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
                 )
             return trial
     raise AssertionError("units come from the trials")
+
+
+def several_joints(seen: Seen, picks: Sequence[Pick]) -> AskedError:
+    """Return the question which columns are the joints, of which arm, where nothing tells."""
+    ways = [
+        (seen.titles(pick.joints.columns), run_of(pick.arm.joints))
+        for pick in sorted(picks, key=lambda pick: pick.joints.columns)
+    ]
+    arms = {joints for _, joints in ways}
+    told = dict.fromkeys(titles if len(arms) == 1 else f"{titles} as {joints}" for titles, joints in ways)
+    return ask(
+        "joints",
+        f"{seen.raw.where}: several columns may be the joints, {' or '.join(first_of(list(told), 4))}, and the rows do "
+        "not tell which, if any",
+        (),
+        "--column 'JOINT=TITLE' or --tip",
+    )
 
 
 def units_by_limits(seen: Seen, pick: Pick) -> tuple[str, str]:

@@ -113,7 +113,7 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
         ranks = {pick.joints.rank for pick in whole}
         whole = [pick for pick in whole if pick.joints.rank == min(ranks)]
         if len(whole) > 1:
-            raise ask("joints", f"{where}: several columns may be the joints", (), "--column 'JOINT=TITLE' or --tip")
+            raise fits.several_joints(seen, whole)
     pick = whole[0]
     targets = [k for k in known.targets if k not in pick.joints.columns]
     if "target" in seen.named:

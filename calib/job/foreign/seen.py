@@ -110,6 +110,8 @@ def is_ours(column: RawColumn) -> bool:
     if not all(column.words):
         return False
     if holds_words(column.name):
-        few = column.name in ("tool", "target") and len(set(column.words)) > 0.34 * len(column.words)
-        return column.symbol is None and not few
+        kinds = len(set(column.words))
+        few = column.name in ("tool", "target") and kinds > 0.34 * len(column.words)
+        # One group of all rows tells nothing, and would leave none to be held out.
+        return column.symbol is None and not few and not (column.name == "group" and kinds == 1)
     return column.numbers is not None and column.symbol is not None

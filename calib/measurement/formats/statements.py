@@ -26,6 +26,8 @@ _LARGEST = 5_000_000
 _LOOKED_AT = 100_000  # characters, of a text that may have lists
 # A list has as many numbers as a point; fewer are a number of something, or a range.
 _FEWEST = 3
+# The sign of typesetters, which is none of a program.
+_MINUS = "\u2212"
 # What a decimal comma makes of one number.
 _A_PAIR = 2
 # Lists in one pair of brackets are rows, and not the parts of one, if they are as many.
@@ -40,6 +42,8 @@ _PAIRS = MappingProxyType({"]": "[", ")": "(", "}": "{"})
 # What RAPID writes for an axis that is not there.
 _NO_AXIS = 9e9
 _NUMBER = r"(?<![\w.])[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(?![\w.])"
+# A minus that stands by itself before a number, where nothing is that it could be taken from.
+_APART = re.compile(rf"([\[({{,;:=]\s*)-\s+(?={_NUMBER.replace('[+-]?', '', 1)})")
 _TOKEN = re.compile(rf"""(?P<text>"[^"\n]*"|'[^'\n]*')|(?P<number>{_NUMBER})|(?P<word>\w+)|(?P<sign>[^\s\w])""")
 
 
@@ -313,6 +317,8 @@ def _plain(text: str) -> str:
 
 def _tokens(text: str, line: int) -> Iterator[_Token]:
     end = -1
+    if "-" in text or _MINUS in text:
+        text = _APART.sub(r"\1-", text.replace(_MINUS, "-"))
     for match in _TOKEN.finditer(text):
         yield _Token(match.lastgroup or "", match.group(), line, match.start() == end)
         end = match.end()
