@@ -80,7 +80,8 @@ def import_(
     arranged: Arranged = AS_THEY_ARE,
     robot: Annotated[str | None, option("--robot", "URDF", _ROBOT)] = None,
     topic: Annotated[
-        str | None, option("--topic", "NAME", "Of a recording: the topic, or rigid body, or kind of lines, to be read.")
+        str | None,
+        option("--topic", "NAME", "Of a recording: the topic, or rigid body or marker, or kind of lines, to be read."),
     ] = None,
     of_images: OfImages = NO_IMAGES,
     telling: Telling = IN_WORDS,

@@ -78,7 +78,7 @@ def raw_table(data: bytes, where: str) -> RawTable:
     beginning(data, where)  # what is no text says so
     if is_motive(data[:1000].decode("utf-8", errors="replace")):
         raise MeasurementError(
-            f"{where}: is an export of Motive; calib import {where} -o table.csv makes a table of a rigid body of it."
+            f"{where}: is an export of Motive; calib import {where} -o table.csv makes a table of a body in it."
         )
     try:
         return _whole(data, where)

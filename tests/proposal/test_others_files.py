@@ -301,3 +301,31 @@ def test_columns_that_may_be_the_joints_are_named(folder: Path) -> None:
     (folder / "measured.csv").write_text(text(titles, [rng.uniform(-90.0, 90.0, (40, 12)), mm()]))
     said = run("init", UR10, "measured.csv", "-y")
     assert "several columns may be the joints, first_0 to first_5 or second_0 to second_5, and the rows do" in said.err
+
+
+def test_a_marker_of_motive_is_a_point_where_no_rigid_body_was_made(folder: Path) -> None:
+    head = "Format Version,1.22,Take Name,a,Rotation Type,Quaternion,Length Units,Meters\n\n"
+
+    def export(*names: str) -> str:
+        columns = [[kind] * 3 for kind in names]
+        lines = (
+            ["", "Type", *["Marker"] * 3 * len(names)],
+            ["", "Name", *(f'"{name}"' for three in columns for name in three)],
+            ["", "", *["Position"] * 3 * len(names)],
+            ["Frame", "Time (Seconds)", *"XYZ" * len(names)],
+        )
+        points = [session().position + k for k in range(len(names))]
+        rows_ = rows([np.arange(40.0), np.arange(40.0) / 120.0, *points])
+        return head + "\n".join([",".join(line) for line in lines] + rows_) + "\n"
+
+    names = joined(folder, export("SMR")).tables[0].columns.names
+    assert names["x [m]"] == "x [m]"
+    (folder / "two.csv").write_text(export("SMR", "Base:Marker1"))
+    said = run("import", "two.csv", "-o", "point.csv")
+    assert said.err == (
+        "Error: two.csv: has several markers; say which one by --topic; there are 'SMR', 'Base:Marker1'.\n"
+    )
+    said = run("import", "two.csv", "--topic", "Base:Marker1", "-o", "point.csv")
+    assert "the marker 'Base:Marker1' of Motive; 0 frames that lost it are left out." in " ".join(said.out.split())
+    (folder / "none.csv").write_text(export("SMR").replace("Marker", "Bone"))
+    assert run("import", "none.csv", "-o", "b.csv").err == "Error: none.csv: has no rigid bodies, and no markers.\n"

@@ -11,6 +11,7 @@ from calib.measurement.table import COMMANDED
 _Rows = tuple[Sequence[str], Sequence[Sequence[str]], str]
 _JOINTS = tuple(f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"))
 _OF_RTDE = ("timestamp", "actual_q_", "target_q_")
+_BODY, _MARKER = "Rigid Body", "Marker"
 _UNITS = {"meters": "m", "millimeters": "mm", "centimeters": "cm"}
 
 
@@ -49,28 +50,26 @@ def is_motive(text: str) -> bool:
 def of_motive(text: str, where: str, body: str | None = None) -> _Rows:
     """Return time, points and quaternions of a rigid body in an export of Motive; frames that lost it are left out.
 
-    ``body``: its name, where there are several. Raises MeasurementError where there is none of that name.
+    Where there are no rigid bodies, or ``body`` names one, the points of a marker. ``body``: its name, where there are
+    several. Raises MeasurementError where there is none of that name.
     """
     lines = [line.split(",") for line in text.lstrip("\ufeff").replace("\r\n", "\n").split("\n")]
     about = dict(zip(lines[0][::2], lines[0][1::2], strict=False))
     kinds, names, parts, axes = _header(lines, where)
-    bodies = dict.fromkeys(name for kind, name in zip(kinds, names, strict=False) if kind == "Rigid Body")
-    if not bodies or (body is None and len(bodies) > 1) or (body is not None and body not in bodies):
-        what = "several rigid bodies; say which one by --topic" if body is None else f"no rigid body {shown(body)}"
-        raise MeasurementError(f"{where}: has {what if bodies else 'no rigid bodies'}; there are {listed(bodies)}.")
-    own = body or next(iter(bodies))
+    kind, own = _chosen(kinds, names, body, where)
 
     def column(part: str, axis: str) -> int:
         for k, found in enumerate(zip(kinds, names, parts, axes, strict=False)):
-            if found == ("Rigid Body", own, part, axis):
+            if found == (kind, own, part, axis):
                 return k
-        raise MeasurementError(f"{where}: the rigid body {shown(own)} has no column {part} {axis}.")
+        raise MeasurementError(f"{where}: the {kind.lower()} {shown(own)} has no column {part} {axis}.")
 
     unit = _UNITS.get(about.get("Length Units", "").lower(), "")
     if not unit:
         raise MeasurementError(f"{where}: its length units are {shown(about.get('Length Units', ''))}; not known.")
     places = [column("Position", axis) for axis in "XYZ"]
-    turns = [column("Rotation", axis) for axis in "WXYZ"] if about.get("Rotation Type") == "Quaternion" else []
+    is_turned = kind == _BODY and about.get("Rotation Type") == "Quaternion"
+    turns = [column("Rotation", axis) for axis in "WXYZ"] if is_turned else []
     time = next((k for k, axis in enumerate(axes) if axis in ("Time", "Time (Seconds)")), None)
     if time is None:
         raise MeasurementError(f"{where}: begins as an export of Motive, and has no column 'Time (Seconds)'.")
@@ -87,9 +86,28 @@ def of_motive(text: str, where: str, body: str | None = None) -> _Rows:
     titles = ("time [s]", *(f"{axis} [{unit}]" for axis in "xyz"), *(("qw", "qx", "qy", "qz") if turns else ()))
     frames = counted(len(rows) - len(seen), "frame that lost it is", "frames that lost it are")
     angles = (
-        "" if turns else f"; its rotations are {shown(about.get('Rotation Type', ''))}, not Quaternion, and left out"
+        ""
+        if turns or kind != _BODY
+        else f"; its rotations are {shown(about.get('Rotation Type', ''))}, not Quaternion, and left out"
     )
-    return titles, seen, f"the rigid body {own!r} of Motive; {frames} left out{angles}"
+    return titles, seen, f"the {kind.lower()} {own!r} of Motive; {frames} left out{angles}"
+
+
+def _chosen(kinds: Sequence[str], names: Sequence[str], wanted: str | None, where: str) -> tuple[str, str]:
+    """Return kind and name of the rigid body that is meant, or, where there is none, of the marker."""
+    found = {
+        kind: dict.fromkeys(n for k, n in zip(kinds, names, strict=False) if k == kind) for kind in (_BODY, _MARKER)
+    }
+    if wanted is not None and (kind := next((kind for kind in found if wanted in found[kind]), None)):
+        return kind, wanted
+    kind = _BODY if found[_BODY] or not found[_MARKER] else _MARKER
+    there, what = found[kind], "rigid bodies" if kind == _BODY else "markers"
+    if not there:
+        raise MeasurementError(f"{where}: has no rigid bodies, and no markers.")
+    if wanted is not None or len(there) > 1:
+        said = f"several {what}; say which one by --topic" if wanted is None else f"no {kind.lower()} {shown(wanted)}"
+        raise MeasurementError(f"{where}: has {said}; there are {listed(there)}.")
+    return kind, next(iter(there))
 
 
 def _header(lines: Sequence[Sequence[str]], where: str) -> tuple[list[str], ...]:
@@ -105,4 +123,5 @@ def _header(lines: Sequence[Sequence[str]], where: str) -> tuple[list[str], ...]
     axis = line(lambda cells: cells[0].strip() == "Frame")
     if kind + 1 >= axis:
         raise MeasurementError(f"{where}: begins as an export of Motive, and lacks the lines of its header.")
-    return tuple([cell.strip() for cell in lines[k]] for k in (kind, kind + 1, axis - 1, axis))
+    # Names of markers stand in quotes in some versions.
+    return tuple([cell.strip().strip('"') for cell in lines[k]] for k in (kind, kind + 1, axis - 1, axis))
