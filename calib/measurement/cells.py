@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from calib.foundations.csv_text import begins_with_error
 from calib.foundations.errors import MeasurementError
+from calib.foundations.units import symbol_of
 
 LONGEST_LINE = 100_000
 _BLOCK = 1_000_000  # bytes; more than a line takes that is not too long
@@ -32,6 +33,7 @@ _OTHERS = {
     b"\x93NUMPY": "is an array of NumPy, and no text; numpy.savez writes an .npz, of which calib import makes a table.",
 }
 _XML = (b"<?xml", b"<!--", b"<robot")
+_HTML = (b"<html", b"<!doctype html", b"<table")
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # What exporters write before a line that is no row; behind a percent sign a name may stand, as rostopic has it: %time.
 _COMMENT = re.compile(r"\s*(?:#|//|%(?:$|[\s%=-]))")
@@ -112,7 +114,12 @@ def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
     for begin, said in _OTHERS.items():
         if data.startswith(begin):
             raise MeasurementError(f"{where}: {said}")
-    if data[:1000].removeprefix(b"\xef\xbb\xbf").lstrip().startswith(_XML):
+    begins = data[:1000].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if begins.lower().startswith(_HTML):
+        raise MeasurementError(
+            f"{where}: is HTML, and no text; open it in a spreadsheet, and save it as .xlsx or as CSV."
+        )
+    if begins.startswith(_XML):
         raise MeasurementError(f"{where}: is XML, and no table; write the numbers that it holds into one.")
     if (nul := data.find(b"\0")) >= 0:
         raise MeasurementError(f"{where}:{_line_at(data, nul)}: has a NUL byte; a table is UTF-8 text.")
@@ -164,15 +171,30 @@ def _line_at(data: bytes, offset: int) -> int:
 def cells(line: str, separator: str, at: str) -> list[str]:
     """Return the cells of one line. A row never goes over several, so that an open quote is found where it stands.
 
-    Where a blank is the separator, several of them, and tabs, are one.
+    Where a blank is the separator, several of them, and tabs, are one; a unit in brackets is part of its title.
     """
     if '"' not in line:
-        return line.split() if separator == " " else [cell.strip() for cell in line.split(separator)]
+        return by_blanks(line) if separator == " " else [cell.strip() for cell in line.split(separator)]
     try:
         (found,) = csv.reader((line,), delimiter=separator, strict=True, skipinitialspace=True)
     except csv.Error as e:
         raise MeasurementError(f"{at}: a quote is not closed, or something follows it.") from e
     return [cell.strip() for cell in found]
+
+
+def by_blanks(line: str) -> list[str]:
+    """Return what blanks divide; a unit in brackets stays with what stands before it.
+
+    >>> by_blanks("n  J1 [deg] x (mm) [1]")
+    ['n', 'J1 [deg]', 'x (mm)', '[1]']
+    """
+    found: list[str] = []
+    for word in line.split():
+        if found and word[0] in "[(" and word[-1] in "])" and symbol_of(word[1:-1]) not in (None, "1"):
+            found[-1] += f" {word}"
+        else:
+            found.append(word)
+    return found
 
 
 def refuse_ragged(rows: Sequence[Sequence[str]], width: int, block: Sequence[Line], where: str) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import NUMBER, symbol_of
 from calib.foundations.words import counted, shown
-from calib.measurement.cells import Line, beginning, cells, is_comment
+from calib.measurement.cells import Line, beginning, by_blanks, cells, is_comment
 
 # In the order in which they are taken where several divide as well: a comma may also be a decimal one.
 _SEPARATORS = ("\t", ";", "|", ",")
@@ -87,7 +87,11 @@ def layout(data: bytes, where: str) -> Layout:
     units: tuple[str, ...] = ("",) * len(rows[header])
     last = plain[header].number
     below = header + 1
-    if below < len(rows) and len(rows[below]) == len(rows[header]) and (found := units_of(rows[below])):
+    if header and len(rows[header - 1]) == len(rows[header]) and (found := units_of(rows[header - 1])):
+        units = found
+        refuse_two_units(rows[header], units, f"{where}:{last}")
+        remarks.append("the line above the header has the units")
+    elif below < len(rows) and len(rows[below]) == len(rows[header]) and (found := units_of(rows[below])):
         units, last = found, plain[below].number
         refuse_two_units(rows[header], units, f"{where}:{last}")
         remarks.append("the line below the header has the units")
@@ -134,12 +138,14 @@ def _separator(lines: Sequence[str]) -> str:
         best = ","  # tabs beside commas, for the looks of it
     if shares[best] > 0.5 and shares[best] > 1.0 / len(lines):
         return best
-    if not any(mark in line for line in lines for mark in _SEPARATORS):
+    plain = [line for line in lines if not any(mark in line for mark in _SEPARATORS)]
+    if len(plain) > 0.8 * len(lines):  # a sentence above a table may have a comma
         # The last row of a log may have been cut off.
-        whole = lines[:-1] if len(lines) > 2 else lines
-        count, times = Counter(len(line.split()) for line in whole).most_common(1)[0]
-        bracket = any(word.startswith("[") for line in lines for word in line.split())
-        if count > 1 and times > 0.8 * len(whole) and not bracket and any(_is_data(x.split(), " ") for x in lines):
+        whole = plain[:-1] if len(plain) > 2 else plain
+        every = list(map(by_blanks, whole))
+        count, times = Counter(map(len, every)).most_common(1)[0]
+        bracket = any(word.startswith("[") for words in every for word in words)
+        if count > 1 and times > 0.8 * len(whole) and not bracket and any(_is_data(words, " ") for words in every):
             return " "
     if "\t" in lines[0] and "," not in lines[0] and ";" not in lines[0]:
         return "\t"
@@ -154,6 +160,7 @@ def header_of(rows: Sequence[Sequence[str]], separator: str) -> int:
     """
     data_row = _first_of_data(rows, separator) or 0
     like_data = [i for i in range(data_row) if len(rows[i]) == len(rows[data_row])]
+    like_data = [i for i in like_data if i == like_data[-1] or not units_of(rows[i])]  # units may be above
     return next((i for i in like_data if _is_filled(rows[i])), like_data[0] if like_data else 0)
 
 

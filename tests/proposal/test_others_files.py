@@ -329,3 +329,25 @@ def test_a_marker_of_motive_is_a_point_where_no_rigid_body_was_made(folder: Path
     assert "the marker 'Base:Marker1' of Motive; 0 frames that lost it are left out." in " ".join(said.out.split())
     (folder / "none.csv").write_text(export("SMR").replace("Marker", "Bone"))
     assert run("import", "none.csv", "-o", "b.csv").err == "Error: none.csv: has no rigid bodies, and no markers.\n"
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Angles in degrees, lengths in mm\n\n J1  J2  J3  J4 J5 J6    X  Y  Z",
+        "J1 [deg]  J2 [deg]  J3 [deg] J4 [deg] J5 (deg)  J6 (deg)  X [mm]  Y [mm]  Z [mm]",
+    ],
+)
+def test_blanks_divide_columns_below_a_sentence_and_with_units(folder: Path, head: str) -> None:
+    (folder / "measured.txt").write_text("\n".join([head, *rows([degrees(), mm()], "   ")]))
+    assert run("init", UR10, "measured.txt", "-y").code == 0
+    assert run("check", "calibration.toml").code == 0
+
+
+def test_units_may_stand_above_the_header(folder: Path) -> None:
+    units = ",".join(["(deg)"] * 6 + ["[m]"] * 3)
+    (folder / "a.csv").write_text("\n".join([units, ",".join([*JOINTS, *"XYZ"]), *rows([degrees(), 1e-3 * mm()])]))
+    sheet = read_sheet("a.csv")
+    assert sheet.titles == (*(f"{joint} [deg]" for joint in JOINTS), "X [m]", "Y [m]", "Z [m]")
+    assert len(sheet.rows) == 40
+    assert calib.measuring.propose(UR10, ["a.csv"]).tables[0].columns.names["x [m]"] == "X"
