@@ -48,7 +48,7 @@ async def serve(folder: Path | None, port: int, started: Callable[[str, str], No
             (rf"/{secret}/state", _State, given),
             (rf"/{secret}/examples", _Examples, given),
             (rf"/{secret}/offer", _Offer, given),
-            (rf"/{secret}/files/(.{{1,1000}})", _Files, given),
+            (rf"/{secret}/files/(.{{1,3000}})", _Files, given),
             (rf"/{secret}/(look|check|calibrate|cancel)", _Verb, given),
             (rf"/{secret}/results/({REPORT_FILE}|{SCENE_FILE})", _Results, given),
             (rf"/{secret}/calibration\.zip", _Folder, given),

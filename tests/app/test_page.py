@@ -176,6 +176,30 @@ def test_a_hostile_file_gets_its_sentence_on_the_page(fresh: Page, tmp_path: Pat
     fresh.wait_for("byId('sentence').textContent.startsWith(\"'run.exe': is no robot\")")
 
 
+def test_a_file_that_is_refused_does_not_keep_the_others_from_being_taken(fresh: Page, tmp_path: Path) -> None:
+    """What came behind it was not taken, and what came before not looked at."""
+    for name in ("a.exe", "b.docx"):
+        (tmp_path / name).write_text("MZ")
+    fresh.choose("#choose", [CASE / URDF, tmp_path / "a.exe", tmp_path / "b.docx", CASE / TABLE])
+    fresh.wait_for("state.files.length === 2 && !state.busy && state.look")
+    assert fresh.evaluate("state.look.sound !== undefined && !byId('calibrate').disabled")
+    told = fresh.evaluate("byId('left-out').textContent")
+    assert "'a.exe': is no robot" in told
+    assert "'b.docx': is no robot" in told
+    fresh.choose("#choose", [CASE / TABLE])
+    fresh.wait_for("byId('left-out').textContent === ''")
+
+
+def test_what_another_window_does_is_seen_when_one_goes_to_this_one(fresh: Page, server: Server) -> None:
+    """It went on to show the verdict of files that had been removed."""
+    fresh.choose("#choose", [CASE / URDF, CASE / TABLE])
+    settle(fresh)
+    assert server.ask("DELETE", f"files/{TABLE}")[0] == 200
+    fresh.evaluate("window.dispatchEvent(new Event('focus')), true")
+    fresh.wait_for("state.files.length === 1 && byId('calibrate').disabled")
+    assert TABLE not in fresh.evaluate("byId('files').textContent")
+
+
 def test_the_keyboard_goes_through_the_page_in_its_order(fresh: Page) -> None:
     fresh.choose("#choose", [CASE / URDF, CASE / TABLE])
     settle(fresh)

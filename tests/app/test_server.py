@@ -222,6 +222,14 @@ def test_files_have_a_size_and_a_kind(empty: Server) -> None:
     assert empty.ask("PUT", "files/%ff.csv", b"")[0] == 400
 
 
+def test_a_mesh_of_a_long_path_is_taken_by_the_name_that_was_offered(empty: Server) -> None:
+    """Letters that an address escapes made it longer than what the server listens to."""
+    path = "/".join(["d d " * 22] * 11) + "/m.stl"
+    name = empty.ask("POST", "offer", {"paths": [path]})[1]["wanted"][path]
+    assert empty.ask("PUT", f"files/{quote(name, safe='')}", b"solid")[0] == 200
+    assert empty.ask("DELETE", f"files/{quote(name, safe='')}")[0] == 200
+
+
 def test_no_file_takes_the_place_of_one_that_is_called_otherwise(tmp_path: Path) -> None:
     """Two tables that were dropped one after the other became one, as their letters are none that every system has."""
     place = tmp_path / "work"

@@ -6,7 +6,7 @@ const EVERY = 400;  // ms between looks at a server that works
 const LARGEST = 200e6, MOST = 5000;  // bytes of a file, and files in a folder; the server holds them as well
 const GONE = "The server does not answer. It may have been ended in the terminal.";
 const WORDS = { look: "Looking at the files", check: "Checking the job", calibrate: "Calibrating" };
-let state = null, shown = {}, timer = 0, columns = {}, dirty = false, before = null;
+let state = null, shown = {}, timer = 0, columns = {}, dirty = false, before = null, refused = [];
 
 function element(tag, text, more = {}) {
   const made = Object.assign(document.createElement(tag), more);
@@ -54,6 +54,7 @@ async function ask(method, path, body) {
 async function refresh() {
   clearTimeout(timer);
   if (await ask("GET", "state")) draw();
+  clearTimeout(timer);  // of another one that came meanwhile
   if (state && state.busy) timer = setTimeout(refresh, EVERY);
 }
 
@@ -100,27 +101,32 @@ async function dropped(transfer) {
 }
 
 async function take(files) {
-  let good = false, robot, wanted = {};
+  let good = false, taken = false, robot, wanted = {};
+  refused = [];
   const response = await fetch("offer", { method: "POST", body: JSON.stringify({ paths: files.map(([path]) => path) }) })
     .then(answer => answer.json()).catch(() => ({ sentence: GONE }));
   if (response.wanted) [wanted, state, good] = [response.wanted, response, true];
   else byId("sentence").textContent = response.sentence;
   for (const [path, file] of files.filter(([path]) => Object.hasOwn(wanted, path))) {
-    if (file.size > LARGEST) {
-      byId("sentence").textContent = `${path}: is too large; a file may have ${LARGEST / 1e6} MB.`;
-      good = false;
-      break;
-    }
     byId("status").textContent = `Taking ${path}`;
-    if (!(good = await ask("PUT", "files/" + encodeURIComponent(wanted[path]), file))) break;
-    robot = state.robot;
+    if (file.size > LARGEST) byId("sentence").textContent = `${path}: is too large; a file may have ${LARGEST / 1e6} MB.`;
+    else if (await ask("PUT", "files/" + encodeURIComponent(wanted[path]), file)) {
+      [robot, taken] = [state.robot, true];
+      continue;
+    }
+    // The others are taken all the same, unless it is for none of them.
+    const sentence = byId("sentence").textContent, none = sentence === GONE || sentence === refused.at(-1);
+    if (!none) refused.push(sentence);
+    good = false;
+    if (none) break;
   }
   byId("status").textContent = "";
   if (!state) return;
   const sentence = byId("sentence").textContent;
+  if (!taken) refused = [];
   columns = {};
   draw();
-  if (good && state.files.length) await look({ robot: robot ?? state.robot });
+  if ((good || taken) && sentence !== GONE && state.files.length) await look({ robot: robot ?? state.robot });
   else byId("sentence").textContent = sentence;
 }
 
@@ -139,6 +145,7 @@ function draw() {
       button.setAttribute("aria-label", "Remove " + text);
       button.addEventListener("click", async () => {
         let good = true;
+        refused = [];
         for (const name of names) good = good && await ask("DELETE", "files/" + encodeURIComponent(name));
         draw();
         if (good && state.files.length) await look({ robot: state.robot });
@@ -169,7 +176,8 @@ function draw() {
     const named = Object.entries(columns).map(([ours, theirs]) => `${ours} is ${theirs}`).join("; ");
     byId("named").textContent = named && `Said so far: ${named}.`;
   });
-  byId("left-out").textContent = state.left_out;
+  const left = [state.left_out, ...refused].filter(Boolean).join(" ");
+  if (byId("left-out").textContent !== left) byId("left-out").textContent = left;
   part("sentence", state.sentence, () => { byId("sentence").textContent = state.sentence; });
   if (!state.sentence && (found || busy)) byId("sentence").textContent = "";
 
@@ -349,6 +357,10 @@ byId("job").addEventListener("input", () => { dirty = true; byId("calibrate").di
 byId("check").addEventListener("click", () => told("POST", "check", JSON.stringify({ job: byId("job").value })));
 byId("calibrate").addEventListener("click", () => told("POST", "calibrate"));
 byId("cancel").addEventListener("click", () => told("POST", "cancel"));
+
+// What another window has done since.
+addEventListener("focus", refresh);
+document.addEventListener("visibilitychange", () => { if (!document.hidden) refresh(); });
 
 let examples = [];
 fetch("examples").then(response => response.json()).then(found => { examples = found.examples; if (state) draw(); });
