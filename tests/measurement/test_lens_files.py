@@ -63,6 +63,11 @@ def test_a_camera_matrix_by_columns_with_skew_or_scaled_is_refused(tmp_path: Pat
         read(tmp_path, ROS.replace("[900.5, 0, 640.25, 0, 901.5, 360.75, 0, 0, 1]", matrix))
 
 
+def test_what_a_maker_calls_a_camera_is_no_model_of_its_lens(tmp_path: Path) -> None:
+    assert read(tmp_path, ROS + "model: Blackfly S\n") == read(tmp_path, ROS)
+    assert read(tmp_path, ROS + "camera: fisheye_left\n") == read(tmp_path, ROS)
+
+
 def test_a_number_with_a_zero_in_front_is_decimal(tmp_path: Path) -> None:
     assert read(tmp_path, ROS.replace("[900.5,", "[0900,"))[0].fx == 900.0
     assert read(tmp_path, ROS.replace("[900.5,", "[0240,"))[0].fx == 240.0
@@ -124,6 +129,8 @@ def test_opencv(tmp_path: Path) -> None:
         ),
         (ROS.replace("plumb_bob", "[plumb_bob]"), "is not one of plumb_bob"),
         (ROS + "fisheye_model: 1\n", "the lens is a fisheye"),
+        (ROS + "camera_model: fisheye\n", "'camera_model' is 'fisheye', whose distortion is another"),
+        (ROS + "model_type: KANNALA_BRANDT\n", "'model_type' is 'KANNALA_BRANDT', whose distortion is another"),
         (ROS + "binning_x: 2\nbinning_y: 2\n", "binning_x is '2': the numbers are of the whole sensor"),
         (ROS + "roi: {x_offset: 8, y_offset: 0}\n", "roi.x_offset is '8': the numbers are of the whole sensor"),
         ("K: [[1, 0, 2, 0], [1, 2], [0, 0, 1]]\nD: []", "the camera matrix has rows that are not equally long"),

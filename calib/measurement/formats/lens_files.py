@@ -17,6 +17,9 @@ from calib.measurement.lens import BENT, RATIONAL, Lens
 _LARGEST = 1_000_000
 # What OpenCV writes and YAML does not know: its own header, and the tag of its matrices.
 _HEADER, _TAG = re.compile(r"\A%YAML[: ]1\.\d\s*"), re.compile(r"!!opencv-matrix")
+# Keys that say how a lens is described, and models whose numbers would be taken for those of another.
+_OF_A_MODEL = re.compile("(?i)model|type|projection")
+_OTHER_MODEL = re.compile("(?i)fish.?eye|equidist|kannala|omni|double.?sphere|unified|scaramuzza")
 _WHOLE = re.compile(r"\+?[0-9]{1,9}")
 _MATRIX = ("camera_matrix", "cameraMatrix", "CameraMatrix", "K", "k")
 _BENT = ("distortion_coefficients", "dist_coeffs", "dist_coeff", "distCoeffs", "D", "d")
@@ -76,7 +79,12 @@ def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
 
 
 def _refuse_others(path: Path, found: Mapping[str, Any]) -> None:
-    """Raise JobError for a lens of a fisheye, as OpenCV marks it, and for one whose images are cut out or binned."""
+    """Raise JobError for a lens of a fisheye, as OpenCV and others mark it, and where images are cut out or binned."""
+    for key, value in found.items():
+        # The model of a camera may also be what its maker calls it; of a distortion ours are known.
+        of_model = key != "distortion_model" and _OF_A_MODEL.search(str(key))
+        if of_model and isinstance(value, str) and _OTHER_MODEL.search(value):
+            raise JobError(f"{path}: {shown(str(key))} is {shown(value)}, whose distortion is another and not read.")
     if found.get("fisheye_model", "0") not in ("0", "false"):
         raise JobError(f"{path}: fisheye_model: the lens is a fisheye, whose distortion is another and not read.")
     roi = found.get("roi")
