@@ -210,7 +210,8 @@ end_header
 @pytest.mark.parametrize(
     ("name", "text", "why"),
     [
-        ("m.ply", PLY + "3 0 1 -1\n", ""),
+        ("m.ply", PLY + "3 0 1 2\n", ""),
+        ("m.ply", PLY + "3 0 1 -1\n", "cannot be read or is too large"),
         ("m.ply", PLY + "3 0 1 2147483647\n", "cannot be read or is too large"),
         ("m.ply", PLY + "0\n", "cannot be read or is too large"),
         ("m.ply", PLY.replace("element vertex 3", "element vertex 90000000") + "3 0 1 2\n", "cannot be read"),
