@@ -12,6 +12,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS, symbol_of
 from calib.foundations.words import shown
 from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
+from calib.measurement.formats import pairs
 from calib.measurement.formats.logs import is_motive
 from calib.measurement.formats.statements import are_alike, are_in, are_torn, opens_list
 from calib.measurement.layout import Layout, is_number, is_number_of_name, layout, name_and_unit
@@ -79,6 +80,10 @@ def raw_table(data: bytes, where: str) -> RawTable:
     if is_motive(data[:1000].decode("utf-8", errors="replace")):
         raise MeasurementError(
             f"{where}: is an export of Motive; calib import {where} -o table.csv makes a table of a body in it."
+        )
+    if pairs.are_in(data, where):
+        raise MeasurementError(
+            f"{where}: has no header, as every line names its numbers; calib import {where} -o table.csv makes a table."
         )
     try:
         return _whole(data, where)

@@ -11,7 +11,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.words import counted, listed, shown
 from calib.measurement.cells import Rows, beginning, cells, in_bytes, lines, refuse_ragged
-from calib.measurement.formats import arrays, logs, matrices, records, statements, workbook
+from calib.measurement.formats import arrays, logs, matrices, pairs, records, statements, workbook
 from calib.measurement.layout import is_number, layout, name_and_unit, with_point, with_units
 
 _MOST_COLUMNS = 1000
@@ -140,7 +140,7 @@ def _of_text(data: bytes, where: str, part: str | None) -> Sheet:
     """Return the sheet of a table, or of statements with lists of numbers where a table would tear these apart."""
     data = in_bytes(data, where)
     beginning(data, where)  # what is no text says so
-    if (found := matrices.from_matrices(data, where)) is not None:
+    if (found := matrices.from_matrices(data, where) or pairs.from_pairs(data, where)) is not None:
         return Sheet(tuple(found[0]), tuple(map(tuple, found[1])), where, found[2])
     if not statements.are_in(data):
         return _with_names_of_log(_of_table(data, where))
