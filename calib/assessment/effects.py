@@ -54,6 +54,8 @@ _FROM_ANYWHERE, _TOUCHED = ("distance", "indicator"), ("socket", "plane", "spher
 _EXPLAINED = 1e-3
 # Rows at one place touch it in orientations that are too alike where their mean axes are longer than this, squared.
 _ALIKE = 0.3
+# A joint hardly moves below such a share of its rms rate.
+_HARDLY = 0.05
 # What drifts where an arm warms up.
 LENGTHS = "length of the arm"
 _Found = TypeVar("_Found")
@@ -219,12 +221,14 @@ class Timing(NamedTuple):
     """How readings of a stream keep time among themselves.
 
     ``by_joint``: by how many s what was measured is later than the readings of each joint alone. ``smoothed``, in s^2:
-    half the variance of the times over which readings are means, that of the others alike taken for delay. ``step``: s
-    between rows; nan where not all rows have times, and nothing is said.
+    half the variance of the times over which readings are means, that of the others alike taken for delay. ``ahead``:
+    by how many rad or m each joint is ahead of where it is read on the way that it goes; below zero where its gear has
+    play, half of the gap. ``step``: s between rows; nan where not all rows have times, and nothing is said.
     """
 
     by_joint: Mapping[str, Effect]
     smoothed: Effect
+    ahead: Mapping[str, Effect]
     step: float
 
 
@@ -236,13 +240,24 @@ def timing(parts: Sequence[Stretch], C: Array) -> Timing:
     usable = [part for part in parts if part.data.other is None]
     step = float(np.mean([part.step for part in usable])) if usable else float("nan")
     if not np.isfinite(step):
-        return Timing({}, NO_EFFECT, step)
-    by_joint = {
-        name: effect(usable, [-part.by_joint[:, :, j] * part.rates[:, None, j] for part in usable], C)
-        for j, name in enumerate(usable[0].joints)
-    }
+        return Timing({}, NO_EFFECT, {}, step)
+
+    def each(ways: Sequence[Array]) -> dict[str, Effect]:
+        both = list(zip(usable, ways, strict=True))
+        return {
+            name: effect(usable, [part.by_joint[:, :, j] * way[:, None, j] for part, way in both], C)
+            for j, name in enumerate(usable[0].joints)
+        }
+
+    by_joint, ahead = each([-part.rates for part in usable]), each([_ways(part.rates) for part in usable])
     moved = [-np.einsum("ndk,nk->nd", part.by_joint, _accelerations(part)) for part in usable]
-    return Timing(by_joint, effect(usable, moved, C), step)
+    return Timing(by_joint, effect(usable, moved, C), ahead, step)
+
+
+def _ways(rates: Array) -> Array:
+    """Return the signs of rates (n, k), 0 where a joint hardly moves: there they are those of jitter."""
+    moving = np.abs(rates) > _HARDLY * np.sqrt(np.mean(rates**2, axis=0))
+    return np.where(moving, np.sign(rates), 0.0)
 
 
 def _accelerations(part: Stretch) -> Array:

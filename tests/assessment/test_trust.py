@@ -397,7 +397,7 @@ def test_a_joint_that_is_late_by_itself_and_readings_that_are_means(cell: Cell) 
     def told(read: Array) -> tuple[Timing, Check]:
         data = true.subset(range(10, 510))
         found = timing(*cell.effects(replace(data, readings=read[rows], times=t)))
-        return found, of_rows.timing(found)
+        return found, of_rows.timing(found, cell.robot)
 
     found, check = told(q)
     assert check.passed
@@ -418,6 +418,22 @@ def test_a_joint_that_is_late_by_itself_and_readings_that_are_means(cell: Cell) 
     # Rounded readings err from row to row, and that is no motion of the arm.
     assert told(np.round(q, 3))[1].passed
     assert np.isnan(timing(*cell.effects(true.subset(range(10, 510)))).step)
+
+
+def test_a_joint_of_a_stream_that_is_behind_its_reading(cell: Cell) -> None:
+    """A gear with play shows by the way that the joint goes, more than as a joint that is late."""
+    q, rows = cell.path(520), slice(10, 510)
+    play = np.array(q)
+    play[:, 2] += 1e-3 * np.sign(np.gradient(q[:, 2]))
+    data = replace(cell.measured(q).subset(range(10, 510)), times=0.1 * np.arange(500))
+    for read, passed in ((q, True), (play, False)):
+        found = timing(*cell.effects(replace(data, readings=read[rows])))
+        check = of_rows.timing(found, cell.robot)
+        assert check.passed == passed
+    assert found.ahead["elbow_joint"].value == pytest.approx(-1e-3, rel=0.1)
+    assert "'elbow_joint' seems to be" in check.sentence
+    assert "mrad behind its reading" in check.sentence
+    assert 'backlash = ["elbow_joint"], with in_order = true' in check.sentence
 
 
 def test_a_gain_comes_back(cell: Cell) -> None:

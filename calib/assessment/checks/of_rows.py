@@ -12,10 +12,11 @@ from calib.assessment.mixed_machines import MixedMachines
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
 from calib.foundations.chance import bound
-from calib.foundations.units import MM, MS
+from calib.foundations.units import MM, MRAD, MS
 from calib.identification.fit import Fit
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.poses import ONE_POSE
+from calib.robot.robot import Robot
 
 # The chance below which an effect is no accident, and its least size in scatters of the residuals.
 RARELY, SIZE = 1e-4, 3.0
@@ -35,6 +36,8 @@ LATE, GEAR, SURE, SEEN = 0.2, 0.01, 6.0, 1.0
 SEEN_IN_TIME = 0.3
 # How far joints have still to go differs from pose to pose, and only what is alike is seen.
 SEEN_AT_REST = 0.5
+# The same of a joint of a stream that is behind its reading.
+SEEN_BEHIND = 0.5
 # The share by which one axis of an instrument may be longer than another.
 STRAIN = 2e-3
 # Rounding of a share of the reach that is this share of what remains.
@@ -142,8 +145,8 @@ def at_rest(found: Effect) -> Check:
     return Check.of("at rest", found.size, SEEN_AT_REST, False, f"{said}: {cure}")
 
 
-def timing(found: Timing) -> Check:
-    """Whether readings of a stream are of one time, and of that time alone."""
+def timing(found: Timing, robot: Robot) -> Check:
+    """Whether readings of a stream are of one time, and of that alone, and joints where they are read both ways."""
     limit = LATE * found.step
     told = [
         (abs(one.value), one, f"readings of {name!r} seem to be {abs(one.value) / MS:.2g} ms off those of the others")
@@ -153,10 +156,27 @@ def timing(found: Timing) -> Check:
     told.append((width, found.smoothed, f"readings seem to be means over times, {width / MS:.2g} ms wide (rms)"))
     # Where one joint is late, others seem so with it: the one that explains most is named.
     sure = [one for one in told if abs(one[1].t) > SURE and one[1].size > SEEN_IN_TIME]
+    most = max((one.size for _, one, _ in sure), default=SEEN_BEHIND)
+    behind = {name: one for name, one in found.ahead.items() if abs(one.t) > SURE and one.size > max(most, SEEN_BEHIND)}
+    if behind:
+        return _behind(behind, robot)
     if not sure:
         return Check.idle("timing", limit, "Readings seem to be of one time.")
     value, _, what = max(sure, key=lambda one: one[1].size)
     return Check.judged("timing", value, limit, f"In time, {what}", ": read all joints at once, and unfiltered.")
+
+
+def _behind(found: Mapping[str, Effect], robot: Robot) -> Check:
+    """Return that a joint is not where it is read, but behind on the way that it goes, or ahead."""
+    name = max(found, key=lambda one: found[one].size)
+    one = found[name]
+    slides = any(reading.name == name and reading.dimension == "length" for reading in robot.readings)
+    far = f"{abs(one.value) / MM:.2g} mm" if slides else f"{abs(one.value) / MRAD:.2g} mrad"
+    said = (
+        f"{name!r} seems to be {far} {'ahead of' if one.value > 0.0 else 'behind'} its reading on the way that it goes"
+    )
+    cure = f'as by play of its gear: free that, backlash = ["{name}"], with in_order = true, or take it out.'
+    return Check.of("timing", one.size, SEEN_BEHIND, False, f"{said}, {cure}")
 
 
 # Of a joint that moved in a row or two alone, an error of these looks like the size, or the sign, of its motion.
