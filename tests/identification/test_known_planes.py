@@ -1,4 +1,4 @@
-"""A base that stands anywhere is found from known planes, and from indicators of known directions."""
+"""A base that stands anywhere is found from known planes and indicators, and starts near a known place or two."""
 
 from collections.abc import Callable
 
@@ -75,6 +75,25 @@ def test_normals_that_were_stated_to_the_other_side_do_not_mislead() -> None:
     """The steps between parallel planes tell."""
     here, base = lab(3), rigid.placement(Rotation.from_rotvec(TURNS[1]).as_matrix(), np.array([1.2, -0.7, 0.4]))
     is_found(here, touches(here), base, known(base, ("left", "shelf", "front")))
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_two_known_anchors_are_where_they_are_known_to_be(turn: tuple[float, ...]) -> None:
+    """All but the turn about the line through them shows, and what does not is no mistake of the readings."""
+    here, base = lab(3), rigid.placement(Rotation.from_rotvec(turn).as_matrix(), np.array([1.2, -0.7, 0.4]))
+    places = {"one": (1.2, 0.3, -0.2), "two": (-0.4, 0.9, 0.5)}
+    q, names = here.draw(60), np.repeat(list(places), 30)
+    length = np.linalg.norm(here.where(q) - [places[name] for name in names], axis=1)
+    data = here.read(q, "distance", length_m=length, target=names.tolist())
+    targets = {name: Target(base @ pose(place)) for name, place in places.items()}
+    model = machines.model(here.robot, offsets="all", placements="all", targets=targets)
+    start = initial_frames(model, [data]).bases[0]
+    for name, place in places.items():
+        np.testing.assert_allclose((start @ pose(place))[:3, 3], targets[name].pose[:3, 3], atol=0.1)
+    assert signatures(model, [data]) == ()
+    fit = calib.identify(model, data)
+    assert fit.converged
+    assert np.abs(fit.residuals[0]).max() < 1e-8
 
 
 def test_what_one_plane_does_not_tell_of_the_base_stays_as_it_is() -> None:

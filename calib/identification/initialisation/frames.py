@@ -40,6 +40,8 @@ _ENOUGH, _FEW = 10_000, 100
 _ROUNDS, _CLOSE = 10, 1e-4
 # A base is shown by so many places of sockets, anchors or balls, and one of the last two by so many lengths.
 _LEAST_PLACES, _LEAST_LENGTHS = 3, 6
+# What the base as given weighs, in m^2 beside the spread of places: it stays where nothing else tells.
+_GIVEN = 1e-6
 
 
 class Initialisation(NamedTuple):
@@ -235,10 +237,11 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
         every = sides[0]
         if not len(every.tips) or (np.isnan(every.orientation).any() and _places(every) < _LEAST_PLACES):
             if not stands.any() or not _needs_base(carried, int(s)):
-                # Too little is known to place any base: it begins as given but for what known planes tell of it, and
-                # the null space says so.
+                # Too little is known to place any base: it begins as given but for what a place or two, and known
+                # planes, tell of it, and the null space says so.
                 touched = [rows.some(rows.data.setup == s) for rows in carried]
-                bases[s], stands[s] = base_by_planes(model, touched, at.tools, bases[s]), True
+                near = min((_moved_onto(some, bases[s], at.tools) for some in sides), key=lambda each: each[0])[1]
+                bases[s], stands[s] = base_by_planes(model, touched, at.tools, near), True
                 continue
             tables = dict.fromkeys(rows.data.where for rows in carried if np.any(rows.data.setup == s))
             raise MeasurementError(
@@ -253,6 +256,16 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
         ]
         stands[s] = True
     return at._replace(bases=bases, stands=stands)
+
+
+def _moved_onto(rows: TipObservations, base: Array, tools: Array) -> tuple[float, Array]:
+    """Return the base (4, 4) moved by no more than takes tools to their positions, and how these are missed then."""
+    if not len(rows.tips):
+        return 0.0, base
+    x, y = (rows.tips @ tools[rows.tool])[:, :3, 3], rows.position
+    R = rigid.nearest_rotation((y - y.mean(axis=0)).T @ (x - x.mean(axis=0)) + _GIVEN * base[:3, :3])
+    found = rigid.placement(R, y.mean(axis=0) - R @ x.mean(axis=0))
+    return _missed(rows, found, tools), found
 
 
 def _missed(rows: TipObservations, base: Array, tools: Array) -> float:
