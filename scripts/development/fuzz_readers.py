@@ -386,6 +386,7 @@ def _sheets() -> list[bytes]:
         b"J2= 2 deg,\n J3= 3 deg\n};\n",
         b"\4q = np.array([[1, 2, 3],\n [2, 3, 4],\n [3, 4, 5]])\n",
         b'\4n,q,p\n1,"[1, 2, 3]","(1 2 3)"\n2,"[1, 2, 4]","(1 2 3)"\n',
+        b"\4J1=1.5; J2=-2 deg; x=3,25 mm\nJ1=2; J2=-3 deg; x=4 mm\n",
         *map(_matlab, (False, True)),
     ]
 
