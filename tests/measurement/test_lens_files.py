@@ -65,6 +65,7 @@ def test_a_camera_matrix_by_columns_with_skew_or_scaled_is_refused(tmp_path: Pat
 
 def test_what_a_maker_calls_a_camera_is_no_model_of_its_lens(tmp_path: Path) -> None:
     assert read(tmp_path, ROS + "model: Blackfly S\n") == read(tmp_path, ROS)
+    assert read(tmp_path, ROS + "camera_model: OmniVision OV9281\n") == read(tmp_path, ROS)
     assert read(tmp_path, ROS + "camera: fisheye_left\n") == read(tmp_path, ROS)
 
 

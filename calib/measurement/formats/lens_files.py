@@ -19,7 +19,7 @@ _LARGEST = 1_000_000
 _HEADER, _TAG = re.compile(r"\A%YAML[: ]1\.\d\s*"), re.compile(r"!!opencv-matrix")
 # Keys that say how a lens is described, and models whose numbers would be taken for those of another.
 _OF_A_MODEL = re.compile("(?i)model|type|projection")
-_OTHER_MODEL = re.compile("(?i)fish.?eye|equidist|kannala|omni|double.?sphere|unified|scaramuzza")
+_OTHER_MODEL = re.compile("(?i)fish.?eye|equidist|kannala|omni(?!.?vision)|double.?sphere|unified|scaramuzza")
 _WHOLE = re.compile(r"\+?[0-9]{1,9}")
 _MATRIX = ("camera_matrix", "cameraMatrix", "CameraMatrix", "K", "k")
 _BENT = ("distortion_coefficients", "dist_coeffs", "dist_coeff", "distCoeffs", "D", "d")
