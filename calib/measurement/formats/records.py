@@ -22,7 +22,9 @@ _MOST_CELLS = 5_000_000
 _LONGEST_LIST = 1000
 _OF_JOINTS = ("name", "position", "velocity", "effort")
 # What lists of joints' names are called, and of where they are: of ROS, MoveIt, robot_calibration.
-_NAMES, _READINGS = ("name", "joint_names", "joints"), ("position", "positions", "joint_positions")
+_NAMES, _READINGS = ("name", "joint_names", "joints"), ("joint_positions", "positions", "position")
+# As many numbers may be a point as well, which only a sensor_msgs/JointState calls otherwise.
+_OF_A_POINT = 3
 # What pandas writes with orient="split".
 _SPLIT = ({"columns", "data"}, {"columns", "index", "data"})
 # A list of no more values may be one vector or one matrix of 4 by 4, as well as a column.
@@ -223,7 +225,8 @@ def _flat(node: Any, name: str, depth: int, where: str) -> Iterator[tuple[str, s
     if isinstance(node, Mapping):
         if (of_joints := _names_and_readings(node)) is not None:
             yield from ((one, _cell(value)) for one, value in zip(*(node[key] for key in of_joints), strict=True))
-            node = {key: value for key, value in node.items() if key not in (*_OF_JOINTS, *of_joints)}
+            own = _OF_JOINTS if of_joints == _OF_JOINTS[:2] else of_joints
+            node = {key: value for key, value in node.items() if key not in own}
         for key, value in node.items():
             yield from _flat(value, f"{name}.{key}" if name else str(key), depth + 1, where)
     elif isinstance(node, list):
@@ -240,6 +243,8 @@ def _names_and_readings(node: Mapping[str, Any]) -> tuple[str, str] | None:
     for names, readings in itertools.product(_NAMES, _READINGS):
         called, numbers = node.get(names), node.get(readings)
         if not (isinstance(called, list) and isinstance(numbers, list) and len(called) == len(numbers)):
+            continue
+        if readings == "position" and names != "name" and len(numbers) == _OF_A_POINT:
             continue
         if _are_words(called) and not any(isinstance(one, list | Mapping) for one in numbers):
             return names, readings
