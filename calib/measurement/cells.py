@@ -23,7 +23,7 @@ _OTHERS = {
     b"MATLAB 5.0 MAT-file": _MATLAB,
     b"MATLAB 7.3 MAT-file": _MATLAB,
     b"\x89HDF": "is HDF5, and no text; numpy.savez writes an .npz, of which calib import makes a table.",
-    b"PAR1": "is Parquet, and no text; write it as CSV, as DataFrame.to_csv() of pandas does.",
+    b"PAR1\x15": "is Parquet, and no text; write it as CSV, as DataFrame.to_csv() of pandas does.",
     **dict.fromkeys(
         (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"),
         "is a pickle of Python, which may run code and is not read; numpy.savez writes an .npz, of which calib import "
@@ -183,18 +183,26 @@ def cells(line: str, separator: str, at: str) -> list[str]:
 
 
 def by_blanks(line: str) -> list[str]:
-    """Return what blanks divide; a unit in brackets stays with what stands before it.
+    """Return what blanks divide; a unit in brackets stays with what stands before it, unless that is a unit as well.
 
-    >>> by_blanks("n  J1 [deg] x (mm) [1]")
-    ['n', 'J1 [deg]', 'x (mm)', '[1]']
+    >>> by_blanks("n  J1 [deg] x (mm) [1]"), by_blanks("(deg) (mm)")
+    (['n', 'J1 [deg]', 'x (mm)', '[1]'], ['(deg)', '(mm)'])
     """
     found: list[str] = []
+    behind_unit = True
     for word in line.split():
-        if found and word[0] in "[(" and word[-1] in "])" and symbol_of(word[1:-1]) not in (None, "1"):
+        is_unit = is_unit_in_brackets(word)
+        if is_unit and not behind_unit:
             found[-1] += f" {word}"
         else:
             found.append(word)
+        behind_unit = is_unit
     return found
+
+
+def is_unit_in_brackets(word: str) -> bool:
+    """Return whether a word is a unit in brackets, as ``[mm]``; numbers are none."""
+    return word[0] in "[(" and word[-1] in "])" and symbol_of(word[1:-1]) not in (None, "1")
 
 
 def refuse_ragged(rows: Sequence[Sequence[str]], width: int, block: Sequence[Line], where: str) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import NUMBER, symbol_of
 from calib.foundations.words import counted, shown
-from calib.measurement.cells import Line, beginning, by_blanks, cells, is_comment
+from calib.measurement.cells import Line, beginning, by_blanks, cells, is_comment, is_unit_in_brackets
 
 # In the order in which they are taken where several divide as well: a comma may also be a decimal one.
 _SEPARATORS = ("\t", ";", "|", ",")
@@ -144,7 +144,7 @@ def _separator(lines: Sequence[str]) -> str:
         whole = plain[:-1] if len(plain) > 2 else plain
         every = list(map(by_blanks, whole))
         count, times = Counter(map(len, every)).most_common(1)[0]
-        bracket = any(word.startswith("[") for words in every for word in words)
+        bracket = any(word[0] == "[" and not is_unit_in_brackets(word) for words in every for word in words)
         if count > 1 and times > 0.8 * len(whole) and not bracket and any(_is_data(words, " ") for words in every):
             return " "
     if "\t" in lines[0] and "," not in lines[0] and ";" not in lines[0]:
@@ -180,9 +180,10 @@ def _is_data(row: Sequence[str], separator: str) -> bool:
 
 
 def _first_of_data(rows: Sequence[Sequence[str]], separator: str) -> int | None:
-    """Return which row is the first of numbers, as wide as most of these are, and filled if others are.
+    """Return which row is the first of numbers, as wide as most of these are, and filled if others behind a header are.
 
-    What exporters write above the header may be numbers too: "Number" and 7, or the 100 frames of a second.
+    What exporters write above the header may be numbers too: "Number" and 7, or the 100 frames of a second. Without a
+    header, a first row that is nearly empty is one of the others.
     """
     found = [i for i, row in enumerate(rows) if _is_data(row, separator)]
     if not found:
@@ -190,8 +191,9 @@ def _first_of_data(rows: Sequence[Sequence[str]], separator: str) -> int | None:
     (width, times), *_ = Counter(len(rows[i]) for i in found).most_common(1)
     if 2 * times > len(found):
         found = [i for i in found if len(rows[i]) == width]
-    plain = (i for i in found if _is_filled(rows[i]))
-    return next(plain, found[0])
+    filled = next((i for i in found if _is_filled(rows[i])), found[0])
+    has_header = any(len(row) == len(rows[filled]) and not _is_data(row, separator) for row in rows[:filled])
+    return filled if has_header else found[0]
 
 
 def _is_filled(row: Sequence[str]) -> bool:

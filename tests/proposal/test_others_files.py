@@ -351,3 +351,39 @@ def test_units_may_stand_above_the_header(folder: Path) -> None:
     assert sheet.titles == (*(f"{joint} [deg]" for joint in JOINTS), "X [m]", "Y [m]", "Z [m]")
     assert len(sheet.rows) == 40
     assert calib.measuring.propose(UR10, ["a.csv"]).tables[0].columns.names["x [m]"] == "X"
+
+
+@pytest.mark.parametrize("units", ["(deg) (deg) (deg) (deg) (deg) (deg) (mm) (mm) (mm)", "[deg] " * 6 + "[mm] " * 3])
+def test_a_line_of_units_in_brackets_is_divided_by_blanks(folder: Path, units: str) -> None:
+    head = [" ".join([*JOINTS, *"XYZ"]), units]
+    (folder / "measured.txt").write_text("\n".join([*head, *rows([degrees(), mm()], " ")]))
+    sheet = read_sheet("measured.txt")
+    assert sheet.titles == (*(f"{joint} [deg]" for joint in JOINTS), "X [mm]", "Y [mm]", "Z [mm]")
+    assert len(sheet.rows) == 40
+
+
+def test_a_first_row_that_is_nearly_empty_is_no_header(folder: Path) -> None:
+    numbers = rows([degrees(), mm(), mm(), mm()])
+    first = ",".join(numbers[0].split(",")[:6]) + 9 * ","
+    (folder / "measured.csv").write_text("\n".join([first, *numbers[1:]]))
+    sheet = read_sheet("measured.csv")
+    assert sheet.titles[:2] == ("column 1", "column 2")
+    assert len(sheet.rows) == 40
+
+
+def test_a_title_may_begin_as_parquet_does(folder: Path) -> None:
+    (folder / "measured.csv").write_text("PAR1,PAR2,PAR3\n1,2,3\n")
+    assert read_sheet("measured.csv").titles == ("PAR1", "PAR2", "PAR3")
+
+
+@pytest.mark.parametrize("point", [[1.5, 2.5, 3.5], {"x": 1.5, "y": 2.5, "z": 3.5}])
+@pytest.mark.parametrize("count", [3, 6])
+def test_the_point_beside_named_joints_is_kept(folder: Path, point: object, count: int) -> None:
+    """Only of a joint state is ``position`` that of the joints; what else stands beside these has its own column."""
+    record = {"name": "P1", "joint_names": JOINTS[:count], "joint_positions": [0.5] * count, "position": point}
+    (folder / "a.json").write_text(json.dumps([record]))
+    row = dict(zip(read_sheet("a.json").titles, read_sheet("a.json").rows[0], strict=True))
+    ends = [".x", ".y", ".z"] if isinstance(point, dict) else ["_0", "_1", "_2"]
+    assert row == dict.fromkeys(JOINTS[:count], "0.5") | {"name": "P1"} | dict(
+        zip([f"position{end}" for end in ends], ["1.5", "2.5", "3.5"], strict=True)
+    )
