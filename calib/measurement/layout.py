@@ -141,9 +141,9 @@ def _separator(lines: Sequence[str]) -> str:
     plain = [line for line in lines if not any(mark in line for mark in _SEPARATORS)]
     if len(plain) > 0.8 * len(lines):  # a sentence above a table may have a comma
         # The last row of a log may have been cut off.
-        whole = plain[:-1] if len(plain) > 2 else plain
-        every = list(map(by_blanks, whole))
-        count, times = Counter(map(len, every)).most_common(1)[0]
+        every = list(map(by_blanks, plain))
+        whole = every[:-1] if len(every) > 2 else every
+        count, times = Counter(map(len, whole)).most_common(1)[0]
         bracket = any(word[0] == "[" and not is_unit_in_brackets(word) for words in every for word in words)
         if count > 1 and times > 0.8 * len(whole) and not bracket and any(_is_data(words, " ") for words in every):
             return " "

@@ -387,3 +387,9 @@ def test_the_point_beside_named_joints_is_kept(folder: Path, point: object, coun
     assert row == dict.fromkeys(JOINTS[:count], "0.5") | {"name": "P1"} | dict(
         zip([f"position{end}" for end in ends], ["1.5", "2.5", "3.5"], strict=True)
     )
+
+
+def test_one_row_below_titles_and_units_between_blanks_is_one(folder: Path) -> None:
+    (folder / "measured.txt").write_text("J1 J2 x\ndeg deg mm\n1 2 3\n")
+    assert read_sheet("measured.txt").titles == ("J1 [deg]", "J2 [deg]", "x [mm]")
+    assert read_sheet("measured.txt").rows == (("1", "2", "3"),)
