@@ -36,6 +36,13 @@ def test_units_behind_numbers_are_those_of_the_columns() -> None:
     assert found[0] == ["J1 [deg]", "J2 [deg]", "X [mm]"]
 
 
+def test_names_may_have_points_and_a_number_may_be_none() -> None:
+    found = from_pairs(b"p.x=1. p.y=NaN J1=3\np.x=2 p.y=-1 J1=4\n", "log")
+    assert found is not None
+    assert found[0] == ["p.x", "p.y", "J1"]
+    assert list(map(tuple, found[1])) == [("1.", "", "3"), ("2", "-1", "4")]
+
+
 def test_a_line_of_other_names_is_a_sentence() -> None:
     with pytest.raises(MeasurementError, match=r"log:3: has not the names of the first line, 'a, b, c'\."):
         from_pairs(b"a=1 b=2 c=3\na=1 b=2 c=3\na=1 c=2 b=3\n", "log")
@@ -47,6 +54,7 @@ def test_a_line_of_other_names_is_a_sentence() -> None:
         b"",
         b"a=1 b=2\n",
         b"rows=5 rate=10 dt=0.1\nJ1,J2,J3\n1,2,3\n",
+        b"rows=5 rate=10 dt=0.1\nx=1 y=2 z=3\nJ1,J2,J3\n1,2,3\n",
         b"a=1 b=2 c=x\n",
         b"a=1 b=2 c=3 furlongs\n",
         b"1,2,3\n",

@@ -17,16 +17,17 @@ from calib.measurement.cells import Rows, beginning, is_comment, lines
 # Fewer are a setting of some program, and no row.
 _FEWEST = 3
 _PAIR = re.compile(
-    r"[\s,;|]*([^\W\d]\w*)\s*[=:]\s*([+-]?(?:[0-9]+(?:[.,][0-9]+)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
+    r"[\s,;|]*([^\W\d][\w.]*)\s*[=:]\s*([+-]?(?:[0-9]+(?:\.[0-9]*|,[0-9]+)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|(?i:nan)\b)"
     r"(?:\s*([^\W\d_][\w/\u00b0]{0,15}|\u00b0)(?!\w*\s*[=:]))?(?=[\s,;|]|$)"
 )
 _REST = re.compile(r"[\s,;|]*")
 
 
 def are_in(data: bytes, where: str) -> bool:
-    """Return whether the first lines of a text that are no comments, two if there are, name all of their numbers."""
-    first = [line.text for line in beginning(data, where) if not is_comment(line.text)][:2]
-    return bool(first) and all(_pairs(line) is not None for line in first)
+    """Return whether the first lines of a text that are no comments, two if there are, name the same numbers."""
+    first = [_pairs(line.text) for line in beginning(data, where) if not is_comment(line.text)][:2]
+    names = [None if pairs is None else [title for title, _ in pairs] for pairs in first]
+    return bool(first) and None not in names and names[0] == names[-1]
 
 
 def from_pairs(data: bytes, where: str) -> Rows | None:
@@ -58,6 +59,7 @@ def _pairs(line: str) -> Sequence[tuple[str, str]] | None:
         symbol = None if unit is None else symbol_of(unit)
         if unit is not None and symbol is None:
             return None
-        found.append((name if symbol is None else f"{name} [{symbol}]", number.replace(",", ".")))
+        cell = "" if number.lower() == "nan" else number.replace(",", ".")
+        found.append((name if symbol is None else f"{name} [{symbol}]", cell))
         end = match.end()
     return found if len(found) >= _FEWEST and _REST.fullmatch(line, end) else None
