@@ -96,6 +96,18 @@ def test_two_known_anchors_are_where_they_are_known_to_be(turn: tuple[float, ...
     assert np.abs(fit.residuals[0]).max() < 1e-8
 
 
+def test_a_base_that_was_given_well_is_not_moved_by_what_two_anchors_hardly_tell() -> None:
+    """The tool is unknown, so that lengths show an anchor within some cm alone."""
+    here = lab(3)
+    places = {"one": (1.2, 0.3, -0.2), "two": (-0.4, 0.9, 0.5)}
+    q, names = here.draw(60), np.repeat(list(places), 30)
+    length = np.linalg.norm(here.where(q) - [places[name] for name in names], axis=1)
+    data = here.read(q, "distance", length_m=length, target=names.tolist())
+    targets = {name: Target(pose(place)) for name, place in places.items()}
+    model = machines.model(here.robot, offsets="all", placements="all", targets=targets)
+    np.testing.assert_array_equal(initial_frames(model, [data]).bases[0], np.eye(4))
+
+
 def test_what_one_plane_does_not_tell_of_the_base_stays_as_it_is() -> None:
     here = lab(3)
     tilt = rigid.placement(Rotation.from_rotvec((0.2, -0.1, 0.0)).as_matrix(), np.array([0.0, 0.0, 0.4]))

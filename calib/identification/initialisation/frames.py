@@ -40,8 +40,9 @@ _ENOUGH, _FEW = 10_000, 100
 _ROUNDS, _CLOSE = 10, 1e-4
 # A base is shown by so many places of sockets, anchors or balls, and one of the last two by so many lengths.
 _LEAST_PLACES, _LEAST_LENGTHS = 3, 6
-# What the base as given weighs, in m^2 beside the spread of places: it stays where nothing else tells.
-_GIVEN = 1e-6
+# What the base as given weighs, in m^2 beside the spread of places: it stays where nothing else tells. It stays as a
+# whole unless so few places are missed clearly less, in squares, with another one.
+_GIVEN, _CLEARLY = 1e-6, 0.25
 
 
 class Initialisation(NamedTuple):
@@ -240,8 +241,9 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
                 # Too little is known to place any base: it begins as given but for what a place or two, and known
                 # planes, tell of it, and the null space says so.
                 touched = [rows.some(rows.data.setup == s) for rows in carried]
-                near = min((_moved_onto(some, bases[s], at.tools) for some in sides), key=lambda each: each[0])[1]
-                bases[s], stands[s] = base_by_planes(model, touched, at.tools, near), True
+                near = _by_places(model, touched, sides, at.tools, bases[s])
+                bases[s] = base_by_planes(model, touched, at.tools, near)
+                stands[s] = True
                 continue
             tables = dict.fromkeys(rows.data.where for rows in carried if np.any(rows.data.setup == s))
             raise MeasurementError(
@@ -266,6 +268,32 @@ def _moved_onto(rows: TipObservations, base: Array, tools: Array) -> tuple[float
     R = rigid.nearest_rotation((y - y.mean(axis=0)).T @ (x - x.mean(axis=0)) + _GIVEN * base[:3, :3])
     found = rigid.placement(R, y.mean(axis=0) - R @ x.mean(axis=0))
     return _missed(rows, found, tools), found
+
+
+def _by_places(
+    model: ErrorModel, carried: Sequence[Carried], sides: Sequence[TipObservations], tools: Array, base: Array
+) -> Array:
+    """Return the base (4, 4) as the few places that are known, on some of ``sides``, have it, or as given.
+
+    With a tool that is unknown yet, and by the nominal arm, lengths show places within some cm alone: a base that was
+    given better than that stays. ``carried``: rows of its set-up.
+    """
+    found = min((_moved_onto(some, base, tools) for some in sides), key=lambda each: each[0])[1]
+    given, moved = (sum(_off_places(model, rows, tools, at) for rows in carried) for at in (base, found))
+    return found if moved < _CLEARLY * given else base
+
+
+def _off_places(model: ErrorModel, carried: Carried, tools: Array, base: Array) -> float:
+    """Return the sum of squares by which rows miss known sockets, and lengths to other known places."""
+    data = carried.data
+    if data.kind not in ("socket", "distance", "sphere"):
+        return 0.0
+    known = np.array([data.link_of(t) is None and name in model.targets for t, name in enumerate(data.targets)])
+    own = known[data.target]
+    places = np.array([model.targets[data.targets[t]].pose[:3, 3] for t in data.target[own]]).reshape(-1, 3)
+    points = (base @ carried.tips @ data.placed_by(tools))[own, :3, 3]
+    lengths = 0.0 if data.kind == "socket" else data.value[own, 0]
+    return float(np.sum((np.linalg.norm(points - places, axis=1) - lengths) ** 2))
 
 
 def _missed(rows: TipObservations, base: Array, tools: Array) -> float:
