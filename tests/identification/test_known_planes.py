@@ -38,10 +38,11 @@ def above(normal: Array, height: float) -> Callable[[Array], Array]:
     return lambda x: (x @ normal - height)[:, None]
 
 
-def touches(here: Lab) -> calib.Measurements:
+def touches(here: Lab, **more: object) -> calib.Measurements:
     """Every plane touched from its side."""
     q = [here.touching(above(normal, height), np.zeros((20, 1)), outside=normal) for normal, height in PLANES.values()]
-    return here.read(np.concatenate(q), "plane", target=np.repeat(list(PLANES), 20).tolist(), ball_m=np.zeros(100))
+    names = np.repeat(list(PLANES), 20).tolist()
+    return here.read(np.concatenate(q), "plane", target=names, ball_m=np.zeros(100), **more)
 
 
 def dials(here: Lab) -> calib.Measurements:
@@ -69,6 +70,29 @@ def test_known_planes_and_indicators_show_the_base(turn: tuple[float, ...]) -> N
     here, base = lab(3), rigid.placement(Rotation.from_rotvec(turn).as_matrix(), np.array([1.2, -0.7, 0.4]))
     is_found(here, touches(here), base, known(base))
     is_found(here, dials(here), base, known(base))
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_known_planes_show_the_base_of_a_second_set_up(turn: tuple[float, ...]) -> None:
+    """It was refused: nothing was said to show where that base is."""
+    here, base = lab(3), rigid.placement(Rotation.from_rotvec(turn).as_matrix(), np.array([1.2, -0.7, 0.4]))
+    sets = [here.positions(40), touches(here, setup=["second"] * 100)]
+    model = machines.model(here.robot, offsets="all", placements="all", targets=known(base))
+    fit = calib.identify(model, sets)
+    assert fit.converged
+    second = fit.measurements[0].setups.index("second")
+    # A base and the first placement share what they are off.
+    assert np.max(rigid.lengths_and_angles(rigid.inverse(base) @ fit.machine.frames.bases[second])) < 0.02
+    assert max(np.abs(r).max() for r in fit.residuals) < 1e-8
+
+
+def test_one_plane_does_not_show_the_base_of_a_second_set_up() -> None:
+    here = lab(3)
+    q = here.touching(above(*PLANES["floor"]), np.zeros((20, 1)), outside=PLANES["floor"][0])
+    touched = here.read(q, "plane", target=["floor"] * 20, ball_m=np.zeros(20), setup=["second"] * 20)
+    model = machines.model(here.robot, offsets="all", targets={"floor": known(np.eye(4))["floor"]})
+    with pytest.raises(calib.MeasurementError, match="planes of known heights in three directions"):
+        calib.identify(model, [here.positions(40), touched])
 
 
 def test_normals_that_were_stated_to_the_other_side_do_not_mislead() -> None:

@@ -24,7 +24,7 @@ from calib.identification.initialisation.base_and_tools import (
     points_together,
 )
 from calib.identification.initialisation.carried import Carried
-from calib.identification.initialisation.known_planes import base_by_planes
+from calib.identification.initialisation.known_planes import base_by_planes, planes_show_all
 from calib.identification.initialisation.lenses import with_found_lenses
 from calib.identification.initialisation.target_poses import NEGLIGIBLE, centre, other_side, with_targets
 from calib.identification.initialisation.touched_balls import touched_with
@@ -237,10 +237,14 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
         ]
         every = sides[0]
         if not len(every.tips) or (np.isnan(every.orientation).any() and _places(every) < _LEAST_PLACES):
-            if not stands.any() or not _needs_base(carried, int(s)):
-                # Too little is known to place any base: it begins as given but for what a place or two, and known
-                # planes, tell of it, and the null space says so.
-                touched = [rows.some(rows.data.setup == s) for rows in carried]
+            touched = [rows.some(rows.data.setup == s) for rows in carried]
+            if (
+                not stands.any()
+                or not _needs_base(carried, int(s))
+                or planes_show_all(model, touched, at.tools, len(every.tips) > 0)
+            ):
+                # Where too little is known to place any base, it begins as given but for what a place or two, and
+                # known planes, tell of it, and the null space says so.
                 near = _by_places(model, touched, sides, at.tools, bases[s])
                 bases[s] = base_by_planes(model, touched, at.tools, near)
                 stands[s] = True
@@ -248,8 +252,8 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
             tables = dict.fromkeys(rows.data.where for rows in carried if np.any(rows.data.setup == s))
             raise MeasurementError(
                 f"{', '.join(tables)}: nothing shows where the base is in the set-up {names.setups[s]!r}: measure "
-                "positions there, or three sockets whose places are known or found from another set-up, or give its "
-                "pose."
+                "positions there, or three sockets whose places are known or found from another set-up, or planes of "
+                "known heights in three directions, or give its pose."
             )
         known = KnownFrames(None, at.tools[:, :3, 3], at.tools[:, :3, :3])
         tried = [base_and_tools(some, known, at.tools).base for some in sides]

@@ -24,6 +24,8 @@ _FEWEST = 4
 _NARROW = 1e-3
 # What the base as given weighs, in m beside the spread of points: it stays where nothing else tells.
 _GIVEN = 1e-6
+# Unit normals that span less than that in a direction tell nothing along it.
+_APART = 0.1
 # Sides of so many planes are tried, and the arm's parts beside a plane are not believed where others miss by a half.
 _TURNED, _CLEARLY = 6, 0.25
 
@@ -50,14 +52,7 @@ def base_by_planes(model: ErrorModel, carried: Sequence[Carried], tools: Array, 
     ``carried``: rows of one set-up. The side from which a plane was touched is the one on which the arm is, unless
     those planes fit clearly better from other sides.
     """
-    seen = [
-        target
-        for one in carried
-        if one.data.kind in ("plane", "indicator")
-        for t in np.unique(one.data.target)
-        if one.data.link_of(int(t)) is None and one.data.targets[t] in model.targets
-        for target in _seen(model, one.some(one.data.target == t), tools)
-    ]
+    seen = _all_seen(model, carried, tools)
     if not seen:
         return base
     sides = [k for k in np.argsort([-target.spread for target in seen], kind="stable") if seen[k].side][:_TURNED]
@@ -69,6 +64,31 @@ def base_by_planes(model: ErrorModel, carried: Sequence[Carried], tools: Array, 
         if (missed := _missed(seen, found)) < _CLEARLY * least:
             best, least = found, missed
     return best
+
+
+def planes_show_all(model: ErrorModel, carried: Sequence[Carried], tools: Array, placed: bool) -> bool:
+    """Return whether known planes and indicators show all of a base; ``placed``: where a known place is as well."""
+    seen = _all_seen(model, carried, tools)
+    turned = np.array([target.normal for target in seen]).reshape(-1, 3)
+    lifted = np.array([target.normal for target in seen if target.height_is_known]).reshape(-1, 3)
+    return _rank(turned) > 1 and (placed or _rank(lifted) > 2)
+
+
+def _rank(normals: Array) -> int:
+    """Return how many directions normals (n, 3) have that are not nearly those of others."""
+    return int(np.sum(svd(normals, full_matrices=False)[1] > _APART)) if len(normals) else 0
+
+
+def _all_seen(model: ErrorModel, carried: Sequence[Carried], tools: Array) -> list[_Seen]:
+    """Return the known targets of all rows as the base sees them."""
+    return [
+        target
+        for one in carried
+        if one.data.kind in ("plane", "indicator")
+        for t in np.unique(one.data.target)
+        if one.data.link_of(int(t)) is None and one.data.targets[t] in model.targets
+        for target in _seen(model, one.some(one.data.target == t), tools)
+    ]
 
 
 def _seen(model: ErrorModel, rows: Carried, tools: Array) -> list[_Seen]:
