@@ -48,6 +48,7 @@ from calib.identification.identify import identify, identify_near
 from calib.identification.losses import Loss
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements, as_sets
+from calib.measurement.poses import same_pose
 from calib.robot.conditions import joined
 from calib.robot.joint_terms import ordered, parts
 from calib.robot.robot import Robot
@@ -421,21 +422,33 @@ def _spent(choice: Choice, fit: Fit, folds: int) -> tuple[float, ...]:
         r[:, q.columns].size for r, d in zip(fit.residuals, fit.measurements, strict=True) for q in QUANTITIES[d.kind]
     ]
 
-    def without_choice(n: int, freedom: float) -> float:
-        held = (1.0 - 1.0 / folds) * n
-        return held / max(held - (n - freedom), 1.0) * n / max(freedom, 1.0)
+    again = [_repeated(d) for d in fit.measurements for _ in QUANTITIES[d.kind]]
+
+    def without_choice(n: int, freedom: float, again: float) -> float:
+        # What is measured again at a pose is held out with it, and tells of the noise alone.
+        held, used = (1.0 - 1.0 / folds) * n, n - freedom
+        return (1.0 + used / max(held - again * used, again)) * n / max(freedom, 1.0)
 
     found = []
     noises = zip(numbers, fit.noise_by_rows, choice.geometric.noise_by_rows, strict=True)
     for k, (n, one, plain) in enumerate(noises):
-        as_usual = [without_choice(n, noise.degrees_of_freedom) for noise in (one, plain)]
+        as_usual = [without_choice(n, noise.degrees_of_freedom, again[k]) for noise in (one, plain)]
         before = choice.steps[0].optimism[k]
         more = after[k] / before * as_usual[1] / as_usual[0] if before > 0.0 else 1.0
         left = one.total if one.model > 0.0 else np.sqrt(one.chi_square) * one.instrument
         # What the instrument's noise explains needs no other, and what is left of rows without noise is rounding.
         shows = more > 1.0 and more * left**2 > one.total**2 > _NO_NOISE**2
-        found.append(one.degrees_of_freedom * (1.0 - 1.0 / more) if shows else 0.0)
+        # A choice fits differences between poses, and none of what is measured again at one.
+        between = max(one.degrees_of_freedom - n * (1.0 - 1.0 / again[k]), 0.0)
+        found.append(between * (1.0 - 1.0 / more) if shows else 0.0)
     return tuple(found)
+
+
+def _repeated(data: Measurements) -> float:
+    """Return how often each pose, or thing at a pose, was measured on average. Rows in motion are not compared."""
+    if data.stream is not None or data.kind == "pixels" or data.points is not None:
+        return 1.0
+    return len(data) / (1 + int(same_pose(data, pieces=True).max(initial=0)))
 
 
 def _with_learned_widths(model: ErrorModel) -> ErrorModel:

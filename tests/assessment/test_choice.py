@@ -10,7 +10,7 @@ import pytest
 import calib
 from calib.assessment import choice as choice_module
 from calib.assessment import linearised
-from calib.assessment.choice import candidates, choose_terms
+from calib.assessment.choice import _spent, candidates, choose_terms
 from calib.assessment.linearised import Candidate, LinearisedSystem
 from calib.assessment.validation import cross_validate
 from calib.foundations.chance import bound
@@ -98,6 +98,20 @@ def test_terms_that_nobody_had_to_search_for_spend_little() -> None:
     choice = choose_terms(model, data)
     assert choice.terms
     assert sum(choice.spent) < 0.05 * len(data) * 3
+
+
+def test_a_choice_spends_none_of_what_is_measured_again_at_a_pose() -> None:
+    """Of few poses, each measured again, half of what tells of the noise alone was counted as spent."""
+    model, once, true = measured(4, 22, {(0, 2): 4e-4, (2, 1): 5e-4})
+    again = np.repeat(once.readings, 4, axis=0)
+    seen = true.see(again)[:, :3, 3] + np.random.default_rng(4).normal(scale=SIGMA, size=(88, 3))
+    names = [f"{reading.name}_rad" for reading in model.robot.readings]
+    columns = dict(zip([*names, "x_m", "y_m", "z_m"], np.column_stack([again, seen]).T, strict=True))
+    choice = choose_terms(model, calib.read_measurements(columns, model.robot, sigma=SIGMA))
+    foretold = tuple(3.0 * one for one in choice.steps[choice.taken].optimism)
+    steps = [replace(step, optimism=foretold) if k == choice.taken else step for k, step in enumerate(choice.steps)]
+    (spent,) = _spent(replace(choice, steps=tuple(steps)), choice.fit, 10)
+    assert 0.0 < spent < choice.fit.noise[0].degrees_of_freedom - 66 * 3
 
 
 @pytest.mark.parametrize("observes", ["position", "pose"])
