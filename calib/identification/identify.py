@@ -77,7 +77,7 @@ def identify(
     None for one that is to be estimated. ``losses``: one for each set: "linear" for least squares, or "huber",
     "soft_l1" or "cauchy", which give outlying rows less weight; all are linear when None. ``spent``: degrees of
     freedom, one number for each component, that a choice of the model by the same rows has spent (J. Ye, *JASA* 93,
-    1998), as :attr:`calib.judging.Choice.spent` tells: residuals are smaller than the noise by these as well.
+    1998), as ``calib.judging.Choice.spent`` tells: residuals are smaller than the noise by these as well.
 
     Raises JobError when nothing is free, MeasurementError when the measurements are not of this robot,
     IdentificationError when the rows are too few or when there is a null space under "refuse".

@@ -424,7 +424,8 @@ def _refuse_unreadable(sheet: Sheet, own: Sequence[int], robot: Robot) -> None:
             f"{sheet.where}: there is no column {', '.join(map(repr, missing))} of a joint, and no pose of the flange "
             f"is found in each row; the columns are {', '.join(map(repr, sheet.names))}."
         )
-    if twice := next((name for name, count in Counter(names).items() if count > 1), None):
+    several = (*sheet.again, *(name for name, count in Counter(names).items() if count > 1))
+    if twice := next((name for name in several if name in names), None):
         raise MeasurementError(f"{sheet.where}: column {twice!r} appears more than once.")
     unitless = [sheet.names[k] for k in own if split_title(sheet.titles[k])[1] is None]
     if unitless := [name for name in unitless if not (holds_words(name) or name in UNITLESS)]:

@@ -105,6 +105,7 @@ class Curve:
 
     components = (Component(0, "position", slice(0, 1)),)
     losses = ("linear",)
+    spent = (0.0,)
     robust = False
 
     def __init__(self, name: str, start: Sequence[float]) -> None:

@@ -28,7 +28,8 @@ _MOST_NAMING, _FEWEST_NAMING, _MOST_NAMES = 100, 3, 1_000_000
 class Sheet:
     """Cells of text below ``titles``; ``remarks``: how they were had; ``of_part``: of one of several parts of a log.
 
-    ``size``: bytes of the files that they are from.
+    ``size``: bytes of the files that they are from. ``again``: names that their file gives to several columns, of which
+    the later ones are numbered here.
     Titles, whatever names they are made of, are of one line: a table has a row in a line.
     """
 
@@ -38,6 +39,7 @@ class Sheet:
     remarks: tuple[str, ...] = ()
     of_part: bool = False
     size: int = 0
+    again: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "titles", tuple(map(_of_one_line, self.titles)))
@@ -45,12 +47,16 @@ class Sheet:
     @property
     def names(self) -> list[str]:
         """The titles without units, also such as are unknown."""
-        return [name_and_unit(title)[0].strip().split("[")[0].strip() for title in self.titles]
+        return list(map(_bare, self.titles))
 
     def csv(self) -> str:
         """Return the sheet as a comma-separated table; one without names has no header."""
         named = self.titles != tuple(f"column {k + 1}" for k in range(len(self.titles)))
         return csv_text([self.titles, *self.rows] if named else self.rows)
+
+
+def _bare(title: str) -> str:
+    return name_and_unit(title)[0].strip().split("[")[0].strip()
 
 
 def _of_one_line(name: str) -> str:
@@ -95,9 +101,10 @@ def _checked(sheet: Sheet, data: bytes) -> Sheet:
     if len(sheet.titles) > _MOST_COLUMNS:
         raise MeasurementError(f"{sheet.where}: has {len(sheet.titles)} columns; allowed are {_MOST_COLUMNS}.")
     titles = _told_apart(sheet.titles)
-    again = [new for new, title in zip(titles, sheet.titles, strict=True) if new != title]
+    again = {new: _bare(title) for new, title in zip(titles, sheet.titles, strict=True) if new != title}
     said = (f"columns of one title are numbered: {listed(again)}",) if again else ()
-    return replace(sheet, titles=titles, remarks=(*sheet.remarks, *said), size=len(data))
+    names = tuple(dict.fromkeys(again.values()))
+    return replace(sheet, titles=titles, remarks=(*sheet.remarks, *said), size=len(data), again=names)
 
 
 def _told_apart(titles: Sequence[str]) -> tuple[str, ...]:
