@@ -48,7 +48,7 @@ from calib.identification.identify import identify, identify_near
 from calib.identification.losses import Loss
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements, as_sets
-from calib.measurement.poses import same_pose
+from calib.measurement.poses import poses_of
 from calib.robot.conditions import joined
 from calib.robot.joint_terms import ordered, parts
 from calib.robot.robot import Robot
@@ -301,14 +301,17 @@ def choose_from(
         if offered is None and not near.apart and geometric.model.priors.harmonics in (None, "learned"):
             begin = () if like is None or like.all_harmonics is None else like.all_harmonics.widths
             harmonics = _all_harmonics(system, chosen_from, entered[:most], largest, begin, held, far, progress)
-        optimism = _optimism(system, held, held.errors, system.way(products, among, steps=most).values)
+        # Where nothing is taken, nobody asks what it costs.
+        optimism = list[tuple[float, ...]]()
+        if most or (harmonics is not None and harmonics.taken):
+            optimism = _optimism(system, held, held.errors, system.way(products, among, steps=most).values)
         steps = tuple(
             Step(
                 None if k == 0 else chosen_from[entered[k - 1]],
                 figure,
                 {name: float(v[k]) for name, v in rms.items()},
                 away[k] if k < len(away) else None,
-                optimism[k] if k <= most else (),
+                optimism[k] if k < len(optimism) else (),
             )
             for k, figure in enumerate(figures)
         )
@@ -395,8 +398,10 @@ def _all_harmonics(
     every = (term for k in dict.fromkeys((*kept(entered), *harmonics)) for term in offered[k].terms)
     terms = ordered(system.robot, every)
     rms, widths = float(next(iter(errors.rms.values()))[0]), tuple(offer.start.widths.tolist())
-    whole = offer.of_all(near.products, system.columns(kept(entered)))
-    (optimism,) = _optimism(system, near, errors, whole[None])
+    optimism: tuple[float, ...] = ()
+    if taken:
+        whole = offer.of_all(near.products, system.columns(kept(entered)))
+        (optimism,) = _optimism(system, near, errors, whole[None])
     return AllHarmonics(readings, offer.order, terms, held, away, rms, taken, widths, optimism)
 
 
@@ -445,10 +450,8 @@ def _spent(choice: Choice, fit: Fit, folds: int) -> tuple[float, ...]:
 
 
 def _repeated(data: Measurements) -> float:
-    """Return how often each pose, or thing at a pose, was measured on average. Rows in motion are not compared."""
-    if data.stream is not None or data.kind == "pixels" or data.points is not None:
-        return 1.0
-    return len(data) / (1 + int(same_pose(data, pieces=True).max(initial=0)))
+    """Return how often each pose, or thing at a pose, was measured on average."""
+    return len(data) / (1 + int(poses_of(data, pieces=True).max(initial=0)))
 
 
 def _with_learned_widths(model: ErrorModel) -> ErrorModel:

@@ -222,8 +222,8 @@ class Timing(NamedTuple):
 
     ``by_joint``: by how many s what was measured is later than the readings of each joint alone. ``smoothed``, in s^2:
     half the variance of the times over which readings are means, that of the others alike taken for delay. ``ahead``:
-    by how many rad or m each joint is ahead of where it is read on the way that it goes; below zero where its gear has
-    play, half of the gap. ``step``: s between rows; nan where not all rows have times, and nothing is said.
+    by how many rad or m each joint is ahead of where it is read on the way that it goes; by backlash it is below zero,
+    half of the gap. ``step``: s between rows; nan where not all rows have times, and nothing is said.
     """
 
     by_joint: Mapping[str, Effect]

@@ -188,6 +188,8 @@ def by_blanks(line: str) -> list[str]:
     >>> by_blanks("n  J1 [deg] x (mm) [1]"), by_blanks("(deg) (mm)")
     (['n', 'J1 [deg]', 'x (mm)', '[1]'], ['(deg)', '(mm)'])
     """
+    if "[" not in line and "(" not in line:
+        return line.split()
     found: list[str] = []
     behind_unit = True
     for word in line.split():

@@ -421,7 +421,7 @@ def test_a_joint_that_is_late_by_itself_and_readings_that_are_means(cell: Cell) 
 
 
 def test_a_joint_of_a_stream_that_is_behind_its_reading(cell: Cell) -> None:
-    """A gear with play shows by the way that the joint goes, more than as a joint that is late."""
+    """Backlash shows by the way that the joint goes, more than as a joint that is late."""
     q, rows = cell.path(520), slice(10, 510)
     play = np.array(q)
     play[:, 2] += 1e-3 * np.sign(np.gradient(q[:, 2]))

@@ -175,7 +175,7 @@ def _behind(found: Mapping[str, Effect], robot: Robot) -> Check:
     said = (
         f"{name!r} seems to be {far} {'ahead of' if one.value > 0.0 else 'behind'} its reading on the way that it goes"
     )
-    cure = f'as by play of its gear: free that, backlash = ["{name}"], with in_order = true, or take it out.'
+    cure = f'as by backlash: free that, backlash = ["{name}"], with in_order = true, or take it out.'
     return Check.of("timing", one.size, SEEN_BEHIND, False, f"{said}, {cure}")
 
 

@@ -24,7 +24,7 @@ from calib.identification.initialisation.base_and_tools import (
     points_together,
 )
 from calib.identification.initialisation.carried import Carried
-from calib.identification.initialisation.known_planes import base_by_planes, planes_show_all
+from calib.identification.initialisation.known_planes import base_by_planes, planes_seen, planes_show_all
 from calib.identification.initialisation.lenses import with_found_lenses
 from calib.identification.initialisation.target_poses import NEGLIGIBLE, centre, other_side, with_targets
 from calib.identification.initialisation.touched_balls import touched_with
@@ -238,15 +238,12 @@ def _by_targets(model: ErrorModel, carried: Sequence[Carried], at: _Placed) -> _
         every = sides[0]
         if not len(every.tips) or (np.isnan(every.orientation).any() and _places(every) < _LEAST_PLACES):
             touched = [rows.some(rows.data.setup == s) for rows in carried]
-            if (
-                not stands.any()
-                or not _needs_base(carried, int(s))
-                or planes_show_all(model, touched, at.tools, len(every.tips) > 0)
-            ):
+            planes, placed = planes_seen(model, touched, at.tools), len(every.tips) > 0
+            if not stands.any() or not _needs_base(carried, int(s)) or planes_show_all(planes, placed=placed):
                 # Where too little is known to place any base, it begins as given but for what a place or two, and
                 # known planes, tell of it, and the null space says so.
                 near = _by_places(model, touched, sides, at.tools, bases[s])
-                bases[s] = base_by_planes(model, touched, at.tools, near)
+                bases[s] = base_by_planes(planes, near)
                 stands[s] = True
                 continue
             tables = dict.fromkeys(rows.data.where for rows in carried if np.any(rows.data.setup == s))

@@ -30,7 +30,7 @@ _APART = 0.1
 _TURNED, _CLEARLY = 6, 0.25
 
 
-class _Seen(NamedTuple):
+class SeenPlane(NamedTuple):
     """A target as it is seen from the base: its ``direction`` (3,) there, and by how widely spread points, in m.
 
     ``normal`` (3,) is the known one. ``points`` (n, 3) are at ``heights`` (n,) along it, which lack a constant where
@@ -46,13 +46,27 @@ class _Seen(NamedTuple):
     side: bool
 
 
-def base_by_planes(model: ErrorModel, carried: Sequence[Carried], tools: Array, base: Array) -> Array:
-    """Return the ``base`` (4, 4) with what known planes and indicators, touched from it with ``tools``, tell of it.
+def planes_seen(model: ErrorModel, carried: Sequence[Carried], tools: Array) -> list[SeenPlane]:
+    """Return the known planes and indicators of all rows as a base sees them, touched from it with ``tools``.
 
-    ``carried``: rows of one set-up. The side from which a plane was touched is the one on which the arm is, unless
-    those planes fit clearly better from other sides.
+    ``carried``: rows of one set-up.
     """
-    seen = _all_seen(model, carried, tools)
+    return [
+        target
+        for one in carried
+        if one.data.kind in ("plane", "indicator")
+        for t in np.unique(one.data.target)
+        if one.data.link_of(int(t)) is None and one.data.targets[t] in model.targets
+        for target in _seen(model, one.some(one.data.target == t), tools)
+    ]
+
+
+def base_by_planes(seen: Sequence[SeenPlane], base: Array) -> Array:
+    """Return the ``base`` (4, 4) with what known planes and indicators tell of it.
+
+    The side from which a plane was touched is the one on which the arm is, unless these planes fit clearly better from
+    other sides.
+    """
     if not seen:
         return base
     sides = [k for k in np.argsort([-target.spread for target in seen], kind="stable") if seen[k].side][:_TURNED]
@@ -66,9 +80,8 @@ def base_by_planes(model: ErrorModel, carried: Sequence[Carried], tools: Array, 
     return best
 
 
-def planes_show_all(model: ErrorModel, carried: Sequence[Carried], tools: Array, placed: bool) -> bool:
+def planes_show_all(seen: Sequence[SeenPlane], *, placed: bool) -> bool:
     """Return whether known planes and indicators show all of a base; ``placed``: where a known place is as well."""
-    seen = _all_seen(model, carried, tools)
     turned = np.array([target.normal for target in seen]).reshape(-1, 3)
     lifted = np.array([target.normal for target in seen if target.height_is_known]).reshape(-1, 3)
     return _rank(turned) > 1 and (placed or _rank(lifted) > 2)
@@ -79,19 +92,7 @@ def _rank(normals: Array) -> int:
     return int(np.sum(svd(normals, full_matrices=False)[1] > _APART)) if len(normals) else 0
 
 
-def _all_seen(model: ErrorModel, carried: Sequence[Carried], tools: Array) -> list[_Seen]:
-    """Return the known targets of all rows as the base sees them."""
-    return [
-        target
-        for one in carried
-        if one.data.kind in ("plane", "indicator")
-        for t in np.unique(one.data.target)
-        if one.data.link_of(int(t)) is None and one.data.targets[t] in model.targets
-        for target in _seen(model, one.some(one.data.target == t), tools)
-    ]
-
-
-def _seen(model: ErrorModel, rows: Carried, tools: Array) -> list[_Seen]:
+def _seen(model: ErrorModel, rows: Carried, tools: Array) -> list[SeenPlane]:
     """Return the one target of the rows as the base sees it, or nothing where they do not tell its direction."""
     data = rows.data
     x, value = (rows.tips @ data.placed_by(tools))[:, :3, 3], data.value[:, 0]
@@ -111,10 +112,10 @@ def _seen(model: ErrorModel, rows: Carried, tools: Array) -> list[_Seen]:
     if spread < _NARROW:
         return []
     heights = value + known.pose[:3, 3] @ normal
-    return [_Seen(direction, spread, normal, x, heights, known.height_is_known, data.kind == "plane")]
+    return [SeenPlane(direction, spread, normal, x, heights, known.height_is_known, data.kind == "plane")]
 
 
-def _base(seen: Sequence[_Seen], signs: Array, base: Array) -> Array:
+def _base(seen: Sequence[SeenPlane], signs: Array, base: Array) -> Array:
     """Return the base (4, 4) that turns directions, times ``signs`` (k,), to known normals, and points into planes."""
     normals, directions = (np.stack([target[which] for target in seen]) for which in (2, 0))
     weight = signs * [target.spread for target in seen]
@@ -125,12 +126,12 @@ def _base(seen: Sequence[_Seen], signs: Array, base: Array) -> Array:
     return rigid.placement(R, base[:3, 3] - np.linalg.lstsq(normals[told], missed, rcond=_GIVEN)[0])
 
 
-def _off(target: _Seen, base: Array) -> Array:
+def _off(target: SeenPlane, base: Array) -> Array:
     """Return how much higher than they should the points (n,) of a target are."""
     return np.asarray((target.points @ base[:3, :3].T + base[:3, 3]) @ target.normal - target.heights)
 
 
-def _missed(seen: Sequence[_Seen], base: Array) -> float:
+def _missed(seen: Sequence[SeenPlane], base: Array) -> float:
     """Return the sum of squares by which points miss their planes."""
     off = [(_off(target, base), target.height_is_known) for target in seen]
     return sum(float(np.sum(np.square(one if known else one - one.mean()))) for one, known in off)
