@@ -151,6 +151,16 @@ def test_every_part_of_the_issue_is_there(report: Report) -> None:
     assert len(pictures) == 2 + 2 + 6 + 2 + 1 + 1 + 1
 
 
+def test_a_check_is_said_in_words_beside_its_figure_and_a_terminal_has_the_figures(report: Report) -> None:
+    (on_pages,) = [sheet for section in report.sections if section.key == "checks" for sheet in section.blocks]
+    sheets = [block for block in report.brief() if isinstance(block, Sheet)]
+    (in_terminal,) = [sheet for sheet in sheets if sheet.title == "Checks of the verdict"]
+    assert isinstance(on_pages, Sheet)
+    assert [row.cells[:-1] for row in on_pages.rows] == [row.cells for row in in_terminal.rows]
+    assert on_pages.columns[:-1] == in_terminal.columns
+    assert on_pages.rows[0].cells[-1] == "The solver converged."
+
+
 def test_correlations_are_of_the_parameters_that_are_seen(outcome: Calibration) -> None:
     section = correlations(outcome.fit)
     assert section is not None

@@ -4,7 +4,7 @@ Nothing that shows a document computes a number; every number in it is text alre
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 
@@ -25,7 +25,8 @@ class Row:
 class Sheet:
     """A table. ``numbers``: the columns that are set to the right. ``brief``: the terminal shows it too.
 
-    ``sortable``: on a page, the head of a column sorts the rows by it.
+    ``sortable``: on a page, the head of a column sorts the rows by it. ``told``: whether the last column is of
+    sentences, for which a terminal has no room.
     """
 
     title: str
@@ -35,6 +36,7 @@ class Sheet:
     caption: str = ""
     brief: bool = False
     sortable: bool = False
+    told: bool = False
 
     @classmethod
     def of(
@@ -46,12 +48,20 @@ class Sheet:
         *,
         brief: bool = False,
         sortable: bool = False,
+        told: bool = False,
     ) -> "Sheet":
         """Return a table; the names of columns of numbers begin with ``>``, and a row may be its cells alone."""
         names = tuple(columns)
         numbers = frozenset(name[1:] for name in names if name.startswith(">"))
         whole = tuple(row if isinstance(row, Row) else Row(tuple(row)) for row in rows)
-        return cls(title, tuple(name.removeprefix(">") for name in names), numbers, whole, caption, brief, sortable)
+        return cls(title, tuple(name.removeprefix(">") for name in names), numbers, whole, caption, brief, sortable, told)
+
+    def narrow(self) -> "Sheet":
+        """Return the table as a terminal has room for it: without its sentences."""
+        if not self.told:
+            return self
+        rows = tuple(replace(row, cells=row.cells[:-1]) for row in self.rows)
+        return replace(self, columns=self.columns[:-1], rows=rows, told=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,4 +143,4 @@ class Report:
         for section in self.sections:
             for block in section.blocks:
                 if not isinstance(block, Picture) and block.brief:
-                    yield block
+                    yield block.narrow() if isinstance(block, Sheet) else block

@@ -133,11 +133,15 @@ def checks(found: Sequence[Check]) -> Section | None:
     if not found:
         return None
     rows = [
-        Row((check.name, _number(check.statistic), _allowed(check), "yes" if check.passed else "NO"), not check.passed)
+        Row(
+            (check.name, _number(check.statistic), _allowed(check), "yes" if check.passed else "NO", check.sentence),
+            not check.passed,
+        )
         for check in found
     ]
-    sheet = Sheet.of("Checks of the verdict", ("check", ">found", "allowed", "passed"), rows, brief=True)
-    return Section("checks", "What was checked", (sheet, Prose(tuple(check.sentence for check in found), "list")))
+    columns = ("check", ">found", "allowed", "passed", "in words")
+    sheet = Sheet.of("Checks of the verdict", columns, rows, brief=True, told=True)
+    return Section("checks", "What was checked", (sheet,))
 
 
 def _number(value: float) -> str:
