@@ -19,35 +19,28 @@ from calib.identification.earlier import following
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit, NullSpacePolicy
 from calib.identification.identifiability import NullDirection
-from calib.identification.initialisation.anchors import anchors_anew
 from calib.identification.initialisation.frames import is_fit
 from calib.identification.initialisation.problem import initial_problem, with_common_names, with_new_frames
-from calib.identification.initialisation.tools_elsewhere import tools_elsewhere
 from calib.identification.learned import LearnedPrior, solve_learning
 from calib.identification.losses import Loss, refuse_losses
 from calib.identification.machine import Frames, Machine, values_at
 from calib.identification.memory import with_memory
-from calib.identification.mirrored import LIKELY, behind, mirrored, with_turns
+from calib.identification.minima import clearly_worse, searched, with_anchors
+from calib.identification.mirrored import mirrored, with_turns
 from calib.identification.noise import Noise, noise_of
 from calib.identification.not_seen import AlongNullSpace
 from calib.identification.parameters import Parameter, scales
 from calib.identification.repeats import Repeats
 from calib.identification.rows import photograph_numbers
-from calib.identification.solver import Near, Solution, seek, solution_at, solve
+from calib.identification.solver import Near, Solution, solution_at, solve
 from calib.identification.system import Problem, residuals, with_twists
 from calib.identification.together import FEWEST, Together, likeliest
 from calib.measurement.lens import FOCAL
 from calib.measurement.measurements import Measurements, as_sets
 from calib.robot.robot import Deviations
 
-# Searches from where anchors are elsewhere, at most: each time fewer are.
-_MOST_TURNS = 3
-# By this share of the sum of squares a search with tools elsewhere must end better, and by more than rounding.
-_CLEARLY, _SOME = 0.05, 1.0
 # Two places tell a parameter as two values where these are that many standard deviations apart.
 _TWO = 4.0
-# A search has ended elsewhere if that differs by so many parameter scales.
-_ELSEWHERE = 1e-2
 # Frames of the nominal robot where an earlier fit has them, or as they begin.
 Placed = Literal["fitted", "begun"]
 # Rows that err together are weighed anew so often, until their common variance stays within that, as a logarithm.
@@ -194,7 +187,7 @@ def _identify(
     x0 = values_at(model.robot, parameters, reference, deviations)
     known = None if near is None else _near(near, problem, x0)
     once = near is not None or together is not None
-    problem, found, learned, alike = _searched(problem, x0, variances, known, once=once)
+    problem, found, learned, alike = searched(problem, x0, variances, known, once=once)
     plain = problem
     if together is None:
         problem, found, learned = _erring_together(problem, found, learned, variances)
@@ -338,94 +331,12 @@ def _nominal(
 
 def _placed(before: Problem, x0: Array, variances: Sequence[float | None] | None) -> Array:
     """Return values (p,) of frames and lenses for the nominal robot; x0 where a search has only gone away from it."""
-    found = _with_anchors(before, solve(before, x0, variances), variances)
+    found = with_anchors(before, solve(before, x0, variances), variances)
     if found.converged:
         return found.x
     ends, starts = (before.residuals_of(before.machine(x)) for x in (found.x, x0))
     farther = all(np.sum(end**2) > np.sum(start**2) for end, start in zip(ends, starts, strict=True))
     return x0 if farther else found.x
-
-
-def _with_anchors(problem: Problem, found: Solution, variances: Sequence[float | None] | None) -> Solution:
-    """Return the solution, or the one from where anchors are elsewhere, while some fit clearly better there."""
-    for _ in range(_MOST_TURNS):
-        x0 = anchors_anew(problem, found.x)
-        if x0 is None:
-            break
-        again = solve(problem, x0, variances)
-        found = again._replace(evaluations=found.evaluations + again.evaluations)
-    return found
-
-
-def _with_tools(
-    problem: Problem,
-    found: Solution,
-    learned: tuple[LearnedPrior, ...],
-    x0: Array,
-    variances: Sequence[float | None] | None,
-) -> tuple[Problem, Solution, tuple[LearnedPrior, ...]]:
-    """Return problem and solution, or those to which a search with tools elsewhere has led, if they fit clearly better.
-
-    The search ends there with tools held where they were stated, as wide as where the data ask for another place.
-    """
-    ends = [seek(problem, start, variances) for start in tools_elsewhere(problem, x0)]
-    if not ends:
-        return problem, found, learned
-    count = found.evaluations + sum(end.search.evaluator.count for end in ends)
-    sigmas = _sigmas(problem, found)
-    before, after = _squares(problem, found.x, sigmas), [_squares(problem, end.x, sigmas) for end in ends]
-    best = ends[int(np.argmin(after))]
-    if _clearly_less(min(after), before):
-        freed = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
-        for begin, near in ((x0, Near(best.x, best.noise.variances)), (best.x, None)):
-            new, again, anew = solve_learning(freed, begin, variances, near)
-            count += again.evaluations
-            if _clearly_less(_squares(new, again.x, sigmas), before):
-                return new, again._replace(evaluations=count), anew
-        # It is known not to be the minimum.
-        found = found._replace(converged=False)
-    return problem, found._replace(evaluations=count), learned
-
-
-def _searched(
-    problem: Problem, x0: Array, variances: Sequence[float | None] | None, known: Near | None, *, once: bool
-) -> tuple[Problem, Solution, tuple[LearnedPrior, ...], Array | None]:
-    """Return problem and solution, and other values (p,) that explain the rows as well; ``once``: none are sought."""
-    alike = None
-    problem, found, learned = solve_learning(problem, x0, variances, known)
-    found = _with_anchors(problem, found, variances)
-    if not once:
-        problem, found, learned = _with_tools(problem, found, learned, x0, variances)
-        problem, found, learned, alike = _behind(problem, found, learned, x0, variances)
-    if found.freed:
-        problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
-    return problem, found, learned, alike
-
-
-def _behind(
-    problem: Problem,
-    found: Solution,
-    learned: tuple[LearnedPrior, ...],
-    x0: Array,
-    variances: Sequence[float | None] | None,
-) -> tuple[Problem, Solution, tuple[LearnedPrior, ...], Array | None]:
-    """Return problem and solution, or those of a search from behind the planes of lengths, if they fit clearly better.
-
-    And the values (p,) to which that search has led, where they explain the rows as well. Frames are held as at x0.
-    """
-    start = behind(problem, found.x)
-    if start is None:
-        return problem, found, learned, None
-    sigmas = _sigmas(problem, found)
-    end = seek(problem, x0, variances, Near(start, found.variances))
-    found = found._replace(evaluations=found.evaluations + end.search.evaluator.count)
-    before, after = (_squares(problem, x, sigmas) + _of_stated_places(problem, x, x0) for x in (found.x, end.x))
-    if _clearly_less(after, before - LIKELY):
-        problem, again, learned = solve_learning(problem, x0, variances, Near(end.x, end.noise.variances))
-        return problem, again._replace(evaluations=found.evaluations + again.evaluations), learned, None
-    apart = np.abs(with_turns(problem, end.x) - with_turns(problem, found.x)) / scales(problem.parameters)
-    alike = end.converged and after < before + LIKELY and apart.max() > _ELSEWHERE
-    return problem, found, learned, end.x if alike else None
 
 
 def _told_once(fit: Fit, problem: Problem, alike: Array) -> Fit:
@@ -460,13 +371,13 @@ def _minimal(
             "measure other poses, or free something that moves what is measured."
         )
     smaller, less = _solved_for(problem, kept, variances)
-    if _clearly_worse(smaller, less, problem, found.x):
+    if clearly_worse(smaller, less, problem, found.x):
         kept, directions = identifiability.told(
             found.spectrum.rows, found.directions.common_rank(0.0), problem.parameters
         )
         near = Near(found.x[list(kept)], found.variances)
         smaller, less = _solved_for(problem, kept, variances, near)
-        if _clearly_worse(smaller, less, problem, found.x):
+        if clearly_worse(smaller, less, problem, found.x):
             less = less._replace(converged=False)
     return smaller, less, kept, directions
 
@@ -478,40 +389,6 @@ def _solved_for(
     smaller = replace(problem, parameters=tuple(problem.parameters[k] for k in kept))
     x0 = values_at(problem.model.robot, smaller.parameters, problem.reference, problem.held)
     return smaller, solve(smaller, x0, _given(smaller, variances), near)
-
-
-def _clearly_worse(problem: Problem, found: Solution, other: Problem, x: Array) -> bool:
-    """Return whether another problem at x (p,) fits clearly better than the solution of one does."""
-    sigmas = _sigmas(problem, found)
-    return _clearly_less(_squares(other, x, sigmas), _squares(problem, found.x, sigmas))
-
-
-def _clearly_less(one: float, other: float) -> bool:
-    """Return whether a sum of squares is clearly less than another one."""
-    return one < (1.0 - _CLEARLY) * other - _SOME
-
-
-def _squares(problem: Problem, x: Array, sigmas: Sequence[Array]) -> float:
-    """Return the sum of squares of residuals and of the robot's priors at x (p,)."""
-    residual = problem.residuals_of(problem.machine(x))
-    priors = [p.hold * value / p.scale for p, value in zip(problem.parameters, x, strict=True) if p.of_robot]
-    return sum(float(np.sum((r / s) ** 2)) for r, s in zip(residual, sigmas, strict=True)) + float(
-        np.sum(np.square(priors))
-    )
-
-
-def _of_stated_places(problem: Problem, x: Array, x0: Array) -> float:
-    """Return the sum of squares at x (p,) of the priors that are stated for frames, about their centres or x0 (p,)."""
-    return sum(
-        float((value - (start if p.centre is None else p.centre)) / p.prior) ** 2
-        for p, value, start in zip(problem.parameters, x, x0, strict=True)
-        if not p.of_robot and p.prior is not None
-    )
-
-
-def _sigmas(problem: Problem, found: Solution) -> tuple[Array, ...]:
-    """Return the standard deviations (N, d) of the rows of every set, as a solution weighs them."""
-    return weights.sigmas_of(problem, found.variances, problem.residuals_of(problem.machine(found.x)), search=True)
 
 
 def matching(

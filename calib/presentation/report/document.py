@@ -54,7 +54,9 @@ class Sheet:
         names = tuple(columns)
         numbers = frozenset(name[1:] for name in names if name.startswith(">"))
         whole = tuple(row if isinstance(row, Row) else Row(tuple(row)) for row in rows)
-        return cls(title, tuple(name.removeprefix(">") for name in names), numbers, whole, caption, brief, sortable, told)
+        return cls(
+            title, tuple(name.removeprefix(">") for name in names), numbers, whole, caption, brief, sortable, told
+        )
 
     def narrow(self) -> "Sheet":
         """Return the table as a terminal has room for it: without its sentences."""
