@@ -227,8 +227,8 @@ def test_in_order_tells_rows_of_which_no_side_is_known(folder: Path) -> None:
     (folder / "rested.csv").write_text("\n".join([head, *([rows[0]] * 4), *rows]) + "\n", encoding="utf-8")
     said = run("verify", "out", "rested.csv", "--in-order", "--json")
     assert json.loads(said.out)["notes"] == [
-        "rested.csv: in_order leaves out 5 rows, before a joint has moved: nothing tells from which side that pose was "
-        "reached; begin with a motion."
+        "rested.csv: in_order leaves out 5 rows, before every joint has moved: nothing tells from which side it was "
+        "reached; begin with a motion of all joints."
     ]
     assert "Warning: rested.csv: in_order leaves out 5 rows" in run("verify", "out", "rested.csv", "--in-order").out
     joints = [line.rsplit(",", 3)[0] for line in (head, *([rows[0]] * 2), rows[1])]

@@ -98,8 +98,8 @@ def unreached(m: Measurements) -> tuple[Finding, ...]:
         return ()
     what = "rows" if m.other is None else "pairs"
     sentence = (
-        f"{m.where}: in_order leaves out {m.unreached} {what}, before a joint has moved: nothing tells from which side "
-        "that pose was reached; begin with a motion."
+        f"{m.where}: in_order leaves out {m.unreached} {what}, before every joint has moved: nothing tells from which "
+        "side it was reached; begin with a motion of all joints."
     )
     return (Finding.warning("rows-left-out", sentence),)
 

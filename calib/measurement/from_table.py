@@ -181,17 +181,22 @@ def measurements_from_table(
 
 
 def reached(found: Measurements) -> Measurements:
-    """Return the rows at whose ends the order says of some joint from which side it was reached; all if none are.
+    """Return the rows at whose ends the side is known from which every joint was reached that moves at all.
 
-    A tool, set-up or target that only others have is none of theirs.
+    Where these are less than half of those that know it of some joint, as where each joint moves in rows of its own,
+    all the latter, with joints of which nothing is known in the middle; all rows if there are none. A tool, set-up or
+    target that only others have is none of theirs.
     """
-    known = np.full(len(found), True)
-    for end in found.ends:
-        approach = end.conditions.approach
-        known &= approach is not None and np.any(approach != 0.0, axis=1)
-    if not known.any():
+    sides = [end.conditions.approach for end in found.ends]
+    told = [np.zeros_like(end.readings) if own is None else own for own, end in zip(sides, found.ends, strict=True)]
+    known = [np.abs(own) == 1.0 for own in told]
+    moving = np.any(np.concatenate(known), axis=0)
+    every, some = (np.all([of(own[:, moving], axis=1) for own in known], axis=0) for of in (np.all, np.any))
+    if not moving.any() or not some.any():
         return found
-    return replace(found.subset(known).with_own_names(), unreached=int(np.count_nonzero(~known)))
+    rows = every if 2 * np.count_nonzero(every) >= np.count_nonzero(some) else some
+    unmoved = np.any([np.any(own[:, moving] == 0.0, axis=1) for own in told], axis=0)
+    return replace(found.subset(rows).with_own_names(), unreached=int(np.count_nonzero(unmoved & ~rows)))
 
 
 _SIGMAS: Mapping[Dimension, str] = {

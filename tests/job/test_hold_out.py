@@ -58,8 +58,8 @@ def test_rows_before_the_first_motion_are_told_once(tmp_path: Path) -> None:
     inputs = load(job)
     assert sum(map(len, (*inputs.identify, *inputs.validate))) == 59
     assert [finding.sentence for finding in inputs.findings if finding.code == "rows-left-out"] == [
-        f"{table}: in_order leaves out 20 rows, before a joint has moved: nothing tells from which side that pose was "
-        "reached; begin with a motion."
+        f"{table}: in_order leaves out 20 rows, before every joint has moved: nothing tells from which side it was "
+        "reached; begin with a motion of all joints."
     ]
 
 

@@ -93,7 +93,11 @@ def _in_order(rows: Measurements, ordered: bool) -> Measurements:
     if not ordered or rows.stream is None:
         return rows
     came = sides(rows.stream.joints, rows.stream.times(rows.shifts(starts)))
-    return reached(replace(rows, conditions=replace(rows.conditions, approach=came)))
+    found = reached(replace(rows, conditions=replace(rows.conditions, approach=came)))
+    approach = found.conditions.approach
+    assert approach is not None, "rows in order have sides"
+    # Where most rows are between two sides, a joint is in the middle.
+    return replace(found, conditions=replace(found.conditions, approach=read_only(np.nan_to_num(approach))))
 
 
 def _known(data: Measurements, stream: Stream, shifts: Mapping[str, float]) -> BoolArray:
