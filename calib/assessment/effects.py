@@ -26,6 +26,7 @@ from calib.foundations.chance import autocorrelations, exceeded
 from calib.measurement.checks import resolutions
 from calib.measurement.measurements import numbered
 from calib.measurement.poses import ONE_POSE
+from calib.measurement.streams.sides import sides
 from calib.robot.robot import Robot
 
 # Fewer blocks than these give no standard error.
@@ -66,12 +67,13 @@ class Effect:
     """How large an effect is: ``value`` with its standard error ``sigma``, in the effect's own unit.
 
     ``size``: what it does to a row, over the standard deviation of what remains of one number without it. Nan where the
-    parameters could stand for it, or where rows are too few.
+    parameters could stand for it, or where rows are too few. ``freedom``: degrees of freedom of the standard error.
     """
 
     value: float
     sigma: float
     size: float
+    freedom: float = np.inf
 
     @property
     def t(self) -> float:
@@ -101,8 +103,14 @@ class Step:
 NO_EFFECT = Effect(float("nan"), float("nan"), float("nan"))
 
 
-def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> Effect:
-    """Return how large an effect is that would change the whitened numbers of every part by ``directions`` (n, d)."""
+def effect(
+    parts: Sequence[Stretch], directions: Sequence[Array], C: Array, runs: Sequence[IntArray] | None = None
+) -> Effect:
+    """Return how large an effect is that would change the whitened numbers of every part by ``directions`` (n, d).
+
+    ``runs`` (n,), by number from 0: rows that err together too, for however long. Where each has a sign of its own,
+    as many numbers as there are runs tell the effect, and its standard error.
+    """
     if not parts:
         return NO_EFFECT
     r, d = (np.concatenate([x.ravel() for x in xs]) for xs in ([part.r for part in parts], directions))
@@ -128,9 +136,16 @@ def effect(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> E
     # Of numbers the parameters have taken some.
     free = max(len(r) - sum(part.used for part in parts), 0.05 * len(r), 1.0)
     variance = max(float(rest @ rest) / free, *(part.least for part in parts))
-    sigma = np.sqrt(max(float(sums @ sums) * len(r) / free, M * variance)) / M
+    squares, freedom = float(sums @ sums) * len(r) / free, np.inf
+    if runs is not None:
+        of_runs = np.concatenate([np.bincount(run, score) for run, score in zip(runs, scores, strict=True)])
+        freedom = float(np.count_nonzero(of_runs) - 1)
+        if freedom < 1.0:
+            return NO_EFFECT
+        squares = max(squares, float(of_runs @ of_runs) * (1.0 + 1.0 / freedom))
+    sigma = np.sqrt(max(squares, M * variance)) / M
     size = float(np.sqrt(value**2 * M / sum(lengths) / variance))
-    return Effect(value, float(sigma), size)
+    return Effect(value, float(sigma), size, freedom)
 
 
 def memory(parts: Sequence[Array]) -> float:
@@ -232,32 +247,56 @@ class Timing(NamedTuple):
     step: float
 
 
-def timing(parts: Sequence[Stretch], C: Array) -> Timing:
+def timing(parts: Sequence[Stretch], C: Array, scalars: Array) -> Timing:
     """Return whether some joint is late by itself, and whether readings are means over a time, as filters make them.
 
-    To second order a mean over times of variance v is ``q - delay q' + v/2 q''``.
+    To second order a mean over times of variance v is ``q - delay q' + v/2 q''``. ``scalars``: what was found of
+    clocks. A joint keeps the side from which it came also while it rests, and what rows leave from one turn to the next
+    is told by one number.
     """
     usable = [part for part in parts if part.data.other is None]
     step = float(np.mean([part.step for part in usable])) if usable else float("nan")
     if not np.isfinite(step):
         return Timing({}, NO_EFFECT, {}, step)
 
-    def each(ways: Sequence[Array]) -> dict[str, Effect]:
+    def each(ways: Sequence[Array], *, by_turns: bool = False) -> dict[str, Effect]:
         both = list(zip(usable, ways, strict=True))
         return {
-            name: effect(usable, [part.by_joint[:, :, j] * way[:, None, j] for part, way in both], C)
+            name: effect(
+                usable,
+                [part.by_joint[:, :, j] * way[:, None, j] for part, way in both],
+                C,
+                [_runs(way[:, j]) for way in ways] if by_turns else None,
+            )
             for j, name in enumerate(usable[0].joints)
         }
 
-    by_joint, ahead = each([-part.rates for part in usable]), each([_ways(part.rates) for part in usable])
+    by_joint = each([-part.rates for part in usable])
+    ahead = each([_ways(part, scalars) for part in usable], by_turns=True)
     moved = [-np.einsum("ndk,nk->nd", part.by_joint, _accelerations(part)) for part in usable]
     return Timing(by_joint, effect(usable, moved, C), ahead, step)
 
 
-def _ways(rates: Array) -> Array:
-    """Return the signs of rates (n, k), 0 where a joint hardly moves: there they are those of jitter."""
-    moving = np.abs(rates) > _HARDLY * np.sqrt(np.mean(rates**2, axis=0))
-    return np.where(moving, np.sign(rates), 0.0)
+def _ways(part: Stretch, scalars: Array) -> Array:
+    """Return the ways (n, k) that joints came to where they are, +1 or -1, 0 where nobody knows.
+
+    Where no stream tells, those of the rates, but where a joint hardly moves: there they are those of jitter.
+    """
+    data = part.data
+    if data.stream is None:
+        moving = np.abs(part.rates) > _HARDLY * np.sqrt(np.mean(part.rates**2, axis=0))
+        return np.where(moving, np.sign(part.rates), 0.0)
+    read = [data.reading_names.index(name) for name in part.joints]
+    rows = part.row.astype(np.intp)
+    return np.nan_to_num(sides(data.stream.joints, data.stream.times(data.shifts(scalars), rows))[:, read])
+
+
+def _runs(way: Array) -> IntArray:
+    """Return the number (n,) of the run of every row, in which a joint went one ``way`` (n,), or rested."""
+    known = np.flatnonzero(way)
+    turned = np.zeros(len(way), dtype=np.intp)
+    turned[known[1:][way[known[1:]] != way[known[:-1]]]] = 1
+    return np.cumsum(turned)
 
 
 def _accelerations(part: Stretch) -> Array:

@@ -96,7 +96,7 @@ def verdict(
             of_rows.jump(steps([by_photograph(part) for part in poses], C), found),
             of_rows.drift(drifts(poses, C), fit),
             of_rows.late(*delay(poses, C)),
-            of_rows.timing(timing(poses, C), fit.model.robot),
+            of_rows.timing(timing(poses, C, fit.machine.frames.scalars), fit.model.robot),
             of_rows.at_rest(unsettled(parts, C)),
             of_rows.gear(moved_more, ratios(poses, C), fit, backward(moved_more, fit)),
             of_rows.axes(strains(poses, C)),

@@ -92,6 +92,23 @@ def test_sides_of_approach_are_those_of_the_joints_motion_between_rows() -> None
     assert set(np.unique(rows.conditions.approach)) == {-1.0, 1.0}
 
 
+def test_a_joint_that_goes_back_a_little_and_on_again_is_at_its_side_or_between() -> None:
+    """What overshoots and comes to rest has hardly left its flank; what went back by more may be off it."""
+    robot = streams.streams(3, seconds=40.0).robot
+    names = [reading.name for reading in robot.readings]
+    t = np.arange(0.0, 12.0, 1.0 / 250.0)
+    times, back = [0.0, 1.0, 3.0, 4.0, 6.0, 7.0, 11.0], np.array([1e-4, 3e-4, 1e-3, 1.8e-3, 2.5e-3, 5e-2])
+    # It goes up, rests, goes back, rests, comes again, and goes back for good.
+    told = np.stack([np.interp(t, times, [0.0, 0.3, 0.3, 0.3 - by, 0.3 - by, 0.3, 0.0]) for by in back], axis=1)
+    told += np.random.default_rng(1).normal(0.0, 1e-5, told.shape)
+    table = {"time [s]": t} | {f"{name} [rad]": told[:, k] for k, name in enumerate(names)}
+    found = sides(joint_stream(table_from_arrays(table), robot.readings, 0.1), np.array([2.0, 5.0, 6.9, 9.0]))
+    np.testing.assert_array_equal(found[0], 1.0)
+    np.testing.assert_array_equal(found[1], [1.0, 1.0, np.nan, np.nan, -1.0, -1.0])
+    np.testing.assert_array_equal(found[2, [0, 1, 2, 5]], [1.0, 1.0, np.nan, 1.0])
+    np.testing.assert_array_equal(found[3], -1.0)
+
+
 def test_columns_of_either_table_are_renamed_and_ignored(made: Streams, tmp_path: Path) -> None:
     """A driver tells the fingers as well, and has its own names for joints."""
     first = made.robot.readings[0].name

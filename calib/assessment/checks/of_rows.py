@@ -157,7 +157,11 @@ def timing(found: Timing, robot: Robot) -> Check:
     # Where one joint is late, others seem so with it: the one that explains most is named.
     sure = [one for one in told if abs(one[1].t) > SURE and one[1].size > SEEN_IN_TIME]
     most = max((one.size for _, one, _ in sure), default=SEEN_BEHIND)
-    behind = {name: one for name, one in found.ahead.items() if abs(one.t) > SURE and one.size > max(most, SEEN_BEHIND)}
+    behind = {
+        name: one
+        for name, one in found.ahead.items()
+        if abs(one.t) > max(SURE, np.sqrt(bound(1.0 - RARELY, 1, one.freedom))) and one.size > max(most, SEEN_BEHIND)
+    }
     if behind:
         return _behind(behind, robot)
     if not sure:

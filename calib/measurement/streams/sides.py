@@ -5,13 +5,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.foundations.arrays import Array, IntArray, read_only
-from calib.measurement.streams.joints import JointStream
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
+from calib.measurement.streams.joints import SPAN, JointStream
 
 # A joint has moved where it did by more than so many standard deviations of its noise: a million samples span less.
 _MOVED = 10.0
-# Gaps are taken for no wider, in rad or m: a joint that turned and has gone back by less may be between the flanks.
-_GAP = 2e-3
+# Gaps are taken for no wider, in rad or m: a joint that turned and has gone back by less may be between the flanks. Of
+# one that goes on where it turned, as after an overshoot, nobody minds less than such a share.
+_GAP, _NEAR = 2e-3, 0.25
 # Differences of this order leave of a motion next to nothing, and of noise as many times its variance.
 _ORDER = 5
 _AS_MANY = math.comb(2 * _ORDER, _ORDER)
@@ -29,16 +30,16 @@ def sides(joints: JointStream, times: Array) -> Array:
     t, q = np.concatenate(knots), np.concatenate(samples)
     rough = [np.zeros((1, q.shape[1])), *(np.diff(own[1:-1], _ORDER, axis=0) for own in samples)]
     noise = np.sqrt(np.mean(np.square(np.concatenate(rough)), axis=0) / _AS_MANY)
-    # On the mean over some time, a joint that rests goes to and fro, and one that has turned goes back.
-    rates = joints.mean_rates(t)
     found = np.empty((len(times), q.shape[1]))
     for k in range(q.shape[1]):
         jitter = _MOVED * float(noise[k])
-        arrived, side = _turns(q[:, k], max(_GAP, jitter))
-        left = _left(q[:, k], rates[:, k], arrived, side, jitter)
-        after = np.searchsorted(t[arrived], times)
-        between = (np.searchsorted(t[left], times) > after) & (after > 0)
-        found[:, k] = np.where(between, np.nan, side[after])
+        gap = max(_GAP, jitter)
+        arrived, side = _turns(q[:, k], gap)
+        # Over some time, a joint that rests goes to and fro, and one that has turned goes back.
+        steps = np.interp(t + SPAN, t, q[:, k]) - np.interp(t - SPAN, t, q[:, k])
+        between = _between(q[:, k], steps, arrived, side, jitter, max(jitter, _NEAR * gap))
+        until = np.minimum(np.searchsorted(t, times), len(t) - 1)
+        found[:, k] = np.where(between[until], np.nan, side[np.searchsorted(t[arrived], times)])
     return read_only(found)
 
 
@@ -64,16 +65,23 @@ def _turns(q: Array, width: float) -> tuple[IntArray, Array]:
     return np.array(turned, dtype=np.intp), np.array(found)
 
 
-def _left(q: Array, rates: Array, arrived: IntArray, side: Array, jitter: float) -> IntArray:
-    """Return after which samples (m,) of q (n,) a joint began to go back, to be at its other side after ``arrived``.
+def _between(q: Array, steps: Array, arrived: IntArray, side: Array, jitter: float, near: float) -> BoolArray:
+    """Return until which samples of q (n,) a joint is between two flanks since the sample before.
 
-    It stood farthest within ``jitter`` for the last time, and before that its mean ``rates`` (n,) had not turned.
+    It is at a ``side`` (m + 1,) from where it ``arrived`` there (m,) as long as it goes on, but for ``jitter``. Where
+    it goes back by more than what is ``near``, or is on its way back at the end, it has left the flank when it stood
+    there for the last time, and its ``steps`` (n,) had not turned.
     """
-    found, before = np.zeros_like(arrived), 0
-    for m, (end, way) in enumerate(zip(arrived.tolist(), side[1:].tolist(), strict=True)):
-        gone = way * q[before : end + 1]
-        last = int(np.flatnonzero(gone <= gone.min() + jitter)[-1])
-        still = np.flatnonzero(way * rates[before : before + last + 1] <= 0.0)
-        found[m] = before + (int(still[-1]) if len(still) else 0)
-        before = end
+    found = np.zeros(len(q), dtype=np.bool_)
+    for way, (start, end) in zip(side[1:].tolist(), pairwise((*arrived.tolist(), len(q) - 1)), strict=True):
+        ahead = way * q[start : end + 1]
+        back = np.maximum.accumulate(ahead) - ahead
+        there = np.flatnonzero(back <= jitter)
+        again = np.append(there[1:], len(ahead))
+        gone = np.maximum.reduceat(back, there) > near
+        gone[-1] |= again[-1] > there[-1] + 1
+        for i in np.flatnonzero(gone).tolist():
+            on = np.flatnonzero(way * steps[start : start + int(there[i]) + 1] >= 0.0)
+            left = start + (int(on[-1]) if len(on) else 0)
+            found[left + 1 : start + int(again[i])] = True
     return found
