@@ -189,14 +189,12 @@ def reached(found: Measurements) -> Measurements:
     """
     sides = [end.conditions.approach for end in found.ends]
     told = [np.zeros_like(end.readings) if own is None else own for own, end in zip(sides, found.ends, strict=True)]
-    known = [np.abs(own) == 1.0 for own in told]
-    moving = np.any(np.concatenate(known), axis=0)
-    every, some = (np.all([of(own[:, moving], axis=1) for own in known], axis=0) for of in (np.all, np.any))
+    moving = np.any(np.concatenate(told) != 0.0, axis=0)
+    every, some = (np.all([of(own[:, moving] != 0.0, axis=1) for own in told], axis=0) for of in (np.all, np.any))
     if not moving.any() or not some.any():
         return found
-    rows = every if 2 * np.count_nonzero(every) >= np.count_nonzero(some) else some
-    unmoved = np.any([np.any(own[:, moving] == 0.0, axis=1) for own in told], axis=0)
-    return replace(found.subset(rows).with_own_names(), unreached=int(np.count_nonzero(unmoved & ~rows)))
+    known = every if 2 * np.count_nonzero(every) >= np.count_nonzero(some) else some
+    return replace(found.subset(known).with_own_names(), unreached=int(np.count_nonzero(~known)))
 
 
 _SIGMAS: Mapping[Dimension, str] = {

@@ -109,6 +109,20 @@ def test_a_joint_that_goes_back_a_little_and_on_again_is_at_its_side_or_between(
     np.testing.assert_array_equal(found[3], -1.0)
 
 
+def test_joints_whose_readings_are_rounded_coarsely_are_between_sides_where_they_turn() -> None:
+    """By ten standard deviations of the rounding they go back farther than gears are wide."""
+    robot = streams.streams(3, seconds=40.0).robot
+    names = [reading.name for reading in robot.readings]
+    t = np.arange(0.0, 40.0, 1.0 / 125.0)
+    swings = 0.3 * np.sin(0.5 * t)
+    table = {"time [s]": t} | {f"{name} [rad]": np.round(swings / 1.5e-3) * 1.5e-3 for name in names}
+    at = t[(t > 1.0) & (t < 39.0)]
+    found = sides(joint_stream(table_from_arrays(table), robot.readings, 0.1), at)[:, 0]
+    way, back = np.sign(np.cos(0.5 * at)), 0.3 - np.abs(0.3 * np.sin(0.5 * at))
+    assert not np.any(found == np.where(back > 3e-3, -way, np.nan))
+    assert np.isnan(found).mean() == pytest.approx(np.mean((back < 4.3e-3) & (way * np.sin(0.5 * at) < 0.0)), rel=0.3)
+
+
 def test_columns_of_either_table_are_renamed_and_ignored(made: Streams, tmp_path: Path) -> None:
     """A driver tells the fingers as well, and has its own names for joints."""
     first = made.robot.readings[0].name

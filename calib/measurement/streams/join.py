@@ -22,6 +22,8 @@ from calib.robot.robot import Robot
 MARGIN = 0.02
 # Fewer rows that both clocks know, and a smaller share, are no overlap.
 _FEWEST, _LEAST_SHARE = 20, 0.1
+# Rows at which some joint has just turned are left out where such a share is not of them.
+_LEAST_SETTLED = 0.2
 # Parameter scales and weak priors of offset and skew: a millisecond, a tenth of a millisecond a second; the start is
 # far nearer than the priors.
 _SCALES = {OFFSET: 1e-3, SKEW: 1e-4}
@@ -87,17 +89,19 @@ def streamed(
 
 
 def _in_order(rows: Measurements, ordered: bool) -> Measurements:
-    """Return rows with the readings that they have at the start, and with sides of approach where asked for."""
+    """Return rows with the readings that they have at the start, and where asked for those with known sides."""
     starts = np.array([one.start for one in rows.scalars])
     rows = rows.at_clock(starts)
     if not ordered or rows.stream is None:
         return rows
     came = sides(rows.stream.joints, rows.stream.times(rows.shifts(starts)))
-    found = reached(replace(rows, conditions=replace(rows.conditions, approach=came)))
-    approach = found.conditions.approach
-    assert approach is not None, "rows in order have sides"
-    # Where most rows are between two sides, a joint is in the middle.
-    return replace(found, conditions=replace(found.conditions, approach=read_only(np.nan_to_num(approach))))
+    settled = np.all(np.isfinite(came), axis=1)
+    if settled.mean() < _LEAST_SETTLED:
+        settled[:] = True
+    found = rows.subset(settled).with_own_names()
+    # Where there is hardly a row at which all are known, a joint between two sides is in the middle.
+    approach = read_only(np.nan_to_num(came[settled]))
+    return reached(replace(found, conditions=replace(found.conditions, approach=approach)))
 
 
 def _known(data: Measurements, stream: Stream, shifts: Mapping[str, float]) -> BoolArray:

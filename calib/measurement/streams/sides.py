@@ -72,14 +72,14 @@ def _between(q: Array, steps: Array, arrived: IntArray, side: Array, jitter: flo
     it goes back by more than what is ``near``, or is on its way back at the end, it has left the flank when it stood
     there for the last time, and its ``steps`` (n,) had not turned.
     """
-    found = np.zeros(len(q), dtype=np.bool_)
+    found, turned = np.zeros(len(q), dtype=np.bool_), set(arrived.tolist())
     for way, (start, end) in zip(side[1:].tolist(), pairwise((*arrived.tolist(), len(q) - 1)), strict=True):
         ahead = way * q[start : end + 1]
         back = np.maximum.accumulate(ahead) - ahead
         there = np.flatnonzero(back <= jitter)
         again = np.append(there[1:], len(ahead))
         gone = np.maximum.reduceat(back, there) > near
-        gone[-1] |= again[-1] > there[-1] + 1
+        gone[-1] |= end in turned or again[-1] > there[-1] + 1
         for i in np.flatnonzero(gone).tolist():
             on = np.flatnonzero(way * steps[start : start + int(there[i]) + 1] >= 0.0)
             left = start + (int(on[-1]) if len(on) else 0)
