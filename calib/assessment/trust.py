@@ -36,6 +36,7 @@ from calib.assessment.own_base import OwnBase, tables_with_own_base
 from calib.assessment.places import unshown
 from calib.assessment.priors import HARMLESS, contradicted
 from calib.assessment.stamps import stamps
+from calib.assessment.stated_lengths import taken_as_stated
 from calib.assessment.stretches import by_photograph, pose_by_pose, stretches
 from calib.foundations.chance import exceeded
 from calib.foundations.linear import one_thread
@@ -128,8 +129,11 @@ def verdict(
         )
         inexact = stamps(parts, fit.machine.frames.scalars)
         alone = unchecked(residue, "tool")
+        stated = taken_as_stated(residue, parts, machine)
+        if all(check.passed for check in told if check.name == "lengths"):
+            stated = (*stated, *of_arm.as_by_scale(fit, parts))
     harmless = (one.sentence for one in priors if one.code == HARMLESS)
-    shown = (*shown_range(fit, own, held_out), *unshown(fit), *harmless, *(one.sentence for one in inexact))
+    shown = (*shown_range(fit, own, held_out), *unshown(fit), *harmless, *stated, *(one.sentence for one in inexact))
     if alone:
         which = f"the {noun(len(alone), 'tool')} {listed(alone)}"
         shown = (

@@ -28,6 +28,8 @@ REST = 1e-4
 # instrument whose scale is off looks like links that all are, which explains so much of what their lengths do: with the
 # place of one arm off beside another it was 0.71.
 SCALE, LINK, LINK_LENGTH, SURE, ALIKE = 0.015, 0.04, 0.025, 6.0, 0.9
+# From here on users are told what a share may be: links of sound arms, with 0.5 mm in each length, are not so alike.
+TOLD_SCALE, TOLD_ALIKE = 0.002, 0.8
 # In m, rms: a common share that moves the tool by less is how links of any arm err. Of sound arms with 0.5 mm in each
 # length it was 0.6 mm at the most; 5 % more length moved the tool of the smallest arm that was tried by 3.8 mm. Arms of
 # 5 mm and of 20 m err by as small a share of themselves: shares of the reach below which lengths in m are too many, and
@@ -78,15 +80,7 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
     neighbouring joints move the tool alike, it says nothing how a length is shared between them.
     """
     numbers = {joint.name: k for k, joint in enumerate(fit.robot.chain)}
-    scaled = np.zeros(len(fit.parameters))
-    moved = np.zeros(len(fit.parameters), dtype=np.bool_)
-    for p, parameter in enumerate(fit.parameters):
-        joint, _, component = parameter.name.rpartition(".")
-        if parameter.kind == "placement" and component in ("tx", "ty", "tz") and joint in numbers:
-            T = np.asarray(fit.robot.chain[numbers[joint]].placement)
-            # A deviation is in the joint's own frame.
-            scaled[p] = (T[:3, :3].T @ T[:3, 3])["xyz".index(component[1])]
-            moved[p] = True
+    scaled, moved = _of_links(fit)
     free = {numbers[fit.parameters[p].name.rpartition(".")[0]] for p in np.flatnonzero(moved).tolist()}
     worst, link = _most_wrong(fit, sorted(free))
     scale, sigma, moves, alike = _common_scale(fit, parts, scaled, moved)
@@ -111,6 +105,38 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
     else:
         said = f"Links seem {100.0 * scale:+.2g} % longer than in the URDF."
     return Check.of("lengths", abs(scale), most, True, said)
+
+
+def as_by_scale(fit: Fit, parts: Sequence[Stretch]) -> tuple[str, ...]:
+    """Return what a user should know where all links seem longer by one share, as by the scale of an instrument.
+
+    Rows do not tell that from an arm that is so. The scale of a board that is stated with a prior is counted.
+    """
+    if any(map(is_stated_scale, fit.parameters)):
+        return ()
+    scale, sigma, _, alike = _common_scale(fit, parts, *_of_links(fit))
+    if not (alike >= TOLD_ALIKE and abs(scale) > max(TOLD_SCALE, SURE * sigma)):
+        return ()
+    return (
+        f"All links seem {100.0 * scale:+.2g} % longer than in the URDF, alike, as they would by a wrong scale of the "
+        "instrument, or of lengths and places that are stated. If it is that, and not the arm, the tool is wrong by as "
+        "much, which regions do not count: measure a known length.",
+    )
+
+
+def _of_links(fit: Fit) -> tuple[Array, BoolArray]:
+    """Return by how much every parameter (p,) makes links longer by their own length, and which are such lengths."""
+    numbers = {joint.name: k for k, joint in enumerate(fit.robot.chain)}
+    scaled = np.zeros(len(fit.parameters))
+    moved = np.zeros(len(fit.parameters), dtype=np.bool_)
+    for p, parameter in enumerate(fit.parameters):
+        joint, _, component = parameter.name.rpartition(".")
+        if parameter.kind == "placement" and component in ("tx", "ty", "tz") and joint in numbers:
+            T = np.asarray(fit.robot.chain[numbers[joint]].placement)
+            # A deviation is in the joint's own frame.
+            scaled[p] = (T[:3, :3].T @ T[:3, 3])["xyz".index(component[1])]
+            moved[p] = True
+    return scaled, moved
 
 
 def _most_wrong(fit: Fit, joints: Sequence[int]) -> tuple[float, str]:
