@@ -536,6 +536,43 @@ def _chance(found: Score, rest: Array, part: Stretch, along: Array | None = None
     return float(exceeded(float(found.gain) / variance / more, numbers, max(freedom / inflation, 1.0)))
 
 
+class Asked(NamedTuple):
+    """How surely rows ask for a change: ``sizes`` (k,) of its directions, and the ``chance`` of that much.
+
+    ``follows`` (p,): by how much parameters follow such a change, in their scales; nothing of directions that they take
+    up whole. ``left``: what it leaves of the squares of the rows, as a share.
+    """
+
+    sizes: Array
+    follows: Array
+    chance: float
+    left: float
+
+
+def asked(parts: Sequence[Stretch], directions: Sequence[Array], C: Array) -> Asked:
+    """Return how surely rows ask for a change of their numbers along ``directions`` (n, d, k) of every part."""
+    both = list(zip(parts, directions, strict=True))
+    A = np.sum([np.tensordot(D, D, ((0, 1), (0, 1))) for _, D in both], axis=0)
+    S = np.sum([np.tensordot(D, part.J, ((0, 1), (0, 1))) for part, D in both], axis=0)
+    g = np.sum([np.einsum("ndk,nd->k", D, part.r) for part, D in both], axis=0)
+    score = score_test(A, S, g, C)
+    numbers, follows = int(score.numbers), -C @ (S.T @ score.sizes)
+    along = [(D @ score.sizes).ravel()[:, None] for _, D in both]
+    rest = np.concatenate(
+        [
+            part.r.ravel()[:, None] + D + (part.J @ follows).ravel()[:, None]
+            for D, (part, _) in zip(along, both, strict=True)
+        ]
+    )
+    freedom = rest.size - sum(part.used for part in parts) - numbers
+    if numbers < 1 or freedom < 1.0:
+        return Asked(score.sizes, follows, 1.0, 1.0)
+    variance = max(float(np.sum(rest**2)) / freedom, *(part.least for part in parts))
+    more = _more_along(rest, np.concatenate(along), variance)
+    chance = float(exceeded(float(score.gain) / variance / more, numbers, freedom))
+    return Asked(score.sizes, follows, chance, float(np.sum(rest**2)) / sum(float(np.sum(part.r**2)) for part in parts))
+
+
 def _more_along(rest: Array, along: Array, variance: float) -> float:
     """Return how many times the variance of all numbers that of what remains is ``along`` a motion (n, d), at least 1.
 

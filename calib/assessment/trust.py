@@ -36,7 +36,7 @@ from calib.assessment.own_base import OwnBase, tables_with_own_base
 from calib.assessment.places import unshown
 from calib.assessment.priors import HARMLESS, contradicted
 from calib.assessment.stamps import stamps
-from calib.assessment.stated_lengths import taken_as_stated
+from calib.assessment.stated_lengths import StatedNumbers
 from calib.assessment.stretches import by_photograph, pose_by_pose, stretches
 from calib.foundations.chance import exceeded
 from calib.foundations.linear import one_thread
@@ -125,15 +125,17 @@ def verdict(
             of_arm.lengths(fit, parts),
             of_arm.tool_and_base(fit),
             of_arm.lens(fit),
-            of_arm.warnings((*findings, *priors)),
         )
+        stated = StatedNumbers(residue, parts, machine)
+        wrong = any(check.name in _OF_CAUSES for check in told if not check.passed)
+        every = (*told, of_arm.warnings((*findings, *priors, *stated.contradicted(wrong=wrong))))
         inexact = stamps(parts, fit.machine.frames.scalars)
         alone = unchecked(residue, "tool")
-        stated = taken_as_stated(residue, parts, machine)
-        if all(check.passed for check in told if check.name == "lengths"):
-            stated = (*stated, *of_arm.as_by_scale(fit, parts))
+        resting = stated.unchecked()
+        if all(check.passed for check in every if check.name == "lengths"):
+            resting = (*resting, *of_arm.as_by_scale(fit, parts))
     harmless = (one.sentence for one in priors if one.code == HARMLESS)
-    shown = (*shown_range(fit, own, held_out), *unshown(fit), *harmless, *stated, *(one.sentence for one in inexact))
+    shown = (*shown_range(fit, own, held_out), *unshown(fit), *harmless, *resting, *(one.sentence for one in inexact))
     if alone:
         which = f"the {noun(len(alone), 'tool')} {listed(alone)}"
         shown = (
@@ -141,7 +143,7 @@ def verdict(
             f"As many numbers were measured with {which} as it has unknowns, so nothing checks them: a mistake in "
             "one of them is in the tool. Measure one more pose with it.",
         )
-    checks = tuple(inexact[0].named_in(check) for check in told) if inexact else told
+    checks = tuple(inexact[0].named_in(check) for check in every) if inexact else every
     return Verdict(checks, shown)
 
 

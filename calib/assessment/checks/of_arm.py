@@ -51,6 +51,7 @@ COUNTED = (
     "not-held-out",
     "copied-rows",
     "prior-contradicted",
+    "stated-contradicted",
 )
 
 
