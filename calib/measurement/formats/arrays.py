@@ -36,6 +36,8 @@ _PACKED = 15
 _OBJECT = 17
 # Of an element, what holds its class, dimensions and name.
 _HEAD = 300
+# Of an array in an archive, what says its kind and shape: some hundred characters. NumPy takes it apart as Python.
+_LONGEST_HEADER = 1000
 
 
 def from_npz(data: bytes, where: str) -> Rows:
@@ -49,7 +51,7 @@ def from_npz(data: bytes, where: str) -> Rows:
             size = sum(member.file_size for member in archive.infolist())
         if size > _LARGEST:
             raise MeasurementError(f"{where}: unpacks to more than {_LARGEST} bytes.")
-        with np.load(io.BytesIO(data), allow_pickle=False) as held:
+        with np.load(io.BytesIO(data), allow_pickle=False, max_header_size=_LONGEST_HEADER) as held:
             names = list(dict.fromkeys(held.files))
             arrays = {name: array for name in names if (array := _readable(held, name)) is not None}
     except MeasurementError:
