@@ -401,6 +401,18 @@ def test_one_sentence_and_nothing_written(folder: Path, wrong, says: str) -> Non
     assert sorted(folder.iterdir()) == before
 
 
+def test_a_table_that_is_called_as_its_job_is_refused(folder: Path) -> None:
+    """The job took its place, and named itself as the table."""
+    out = folder / "marks.toml"
+    said = run(
+        *("import", "images", folder / "photographs", "--board", folder / "board.toml"),
+        *("--readings", folder / "readings.csv", "--robot", UR5, "-o", out),
+    )
+    assert said.code == 1
+    assert "is the name of the job that is written beside the table; call the table marks.csv." in said.err
+    assert not out.exists()
+
+
 def test_readings_without_a_unit_are_told_before_the_photographs_are_searched(folder: Path) -> None:
     """Else the table of pixels has them, and the job that is written beside it does not read it."""
     spoil("readings.csv", (" [rad]", ""))(folder)
