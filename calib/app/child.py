@@ -29,8 +29,7 @@ with loading():
     from calib.job.schema import named_files
     from calib.measurement.bodies import a_row_for_each_point
     from calib.measurement.formats.sheet import Sheet, read_sheet, stacked
-    from calib.measurement.formats.statements import are_in
-    from calib.measurement.raw import raw_table, split_title
+    from calib.measurement.raw import becomes_table, raw_table, split_title
     from calib.presentation.console import Steps
     from calib.robot.sources import EXAMPLE, mesh_uris
 
@@ -136,7 +135,11 @@ def _with_meshes(robot: str, meshes: Sequence[str]) -> tuple[str, list[str]]:
 
 def _as_texts(names: Sequence[str]) -> list[str]:
     """Return the tables of text that files are, or that are made of their records, cells or arrays."""
-    texts = {name for name in names if name.lower().endswith(_TEXT) and not are_in(read_bytes(Path(name), JobError))}
+    texts = {
+        name
+        for name in names
+        if name.lower().endswith(_TEXT) and not becomes_table(read_bytes(Path(name), JobError), name)
+    }
     own = [Path(name).stem.lower() for name in names if name not in texts]
     found = []
     for name in names:

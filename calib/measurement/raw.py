@@ -93,6 +93,15 @@ def raw_table(data: bytes, where: str) -> RawTable:
         raise
 
 
+def becomes_table(data: bytes, where: str) -> bool:
+    """Return whether a text is no table as it is, but becomes one: its lines name their numbers, or have lists of such.
+
+    Raises MeasurementError for what is no text.
+    """
+    data = in_bytes(data, where)
+    return pairs.are_in(data, where) or are_in(data)
+
+
 def of_lists(where: str) -> MeasurementError:
     """Return what to raise for a text whose numbers stand in lists: no table, but one can be made of it."""
     return MeasurementError(

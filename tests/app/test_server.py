@@ -270,6 +270,9 @@ def test_tables_of_one_name_in_two_formats_are_two_tables(tmp_path: Path, monkey
         "tables/lists.csv",
     ]
     assert Path(found[-1]).read_text().splitlines()[-1] == "P2,7,8,9"
+    Path("named.log").write_text("J1=3.5; J2=-10; X=512,3 mm\nJ1=4.5; J2=-11; X=522,3 mm\n")
+    (named,) = _as_texts(["named.log"])
+    assert Path(named).read_text() == "J1,J2,X [mm]\n3.5,-10,512.3\n4.5,-11,522.3\n"
     values = [Path(name).read_text().splitlines()[-1][0] for name in found[:3]]
     assert values == ["1", "2", "3"]
 

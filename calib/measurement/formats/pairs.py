@@ -8,6 +8,7 @@ A decimal comma is one, as no number stands there without its name.
 
 import re
 from collections.abc import Sequence
+from itertools import islice
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import symbol_of
@@ -25,7 +26,8 @@ _REST = re.compile(r"[\s,;|]*")
 
 def are_in(data: bytes, where: str) -> bool:
     """Return whether the first lines of a text that are no comments, two if there are, name the same numbers."""
-    first = [_pairs(line.text) for line in beginning(data, where) if not is_comment(line.text)][:2]
+    rows = (line.text for line in beginning(data, where) if not is_comment(line.text))
+    first = [_pairs(row) for row in islice(rows, 2)]
     names = [None if pairs is None else [title for title, _ in pairs] for pairs in first]
     return bool(first) and None not in names and names[0] == names[-1]
 
