@@ -194,7 +194,9 @@ def _images(folders: Sequence[Path], out: Path, robot: str | None, said: OfImage
         raise JobError(f"--camera-on: {shown(said.camera_on)} is not tip or floor.")
     page, job, urdf = (out.with_name(f"{out.stem}{end}") for end in ("_photographs.html", ".toml", "_flange.urdf"))
     if job == out:
-        raise JobError(f"{out}: is the name of the job that is written beside the table; call the table {out.stem}.csv.")
+        raise JobError(
+            f"{out}: is the name of the job that is written beside the table; call the table {out.stem}.csv."
+        )
     refuse_taken(page, job, urdf)
     print_ = read_photographed_board(said.board)
     with telling.progress(0, alike=True) as say:
