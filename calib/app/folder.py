@@ -26,6 +26,7 @@ from calib.foundations.files import (
     DAMAGED,
     LARGEST_JSON,
     is_regular,
+    lstat,
     names_in,
     opened_folder,
     read_inside,
@@ -161,7 +162,18 @@ def _remove_dead(name: str, above: int) -> None:
         with os.fdopen(marker, "rb") as file:
             ours = is_regular(_SERVED, folder) and file.read(_LONGEST_NAME) == _marked(name, found)
             if ours and alone_with(marker, where_unknown=False):
-                shutil.rmtree(name, dir_fd=above)
+                _empty_out(folder)
+                os.rmdir(name, dir_fd=above)
+
+
+def _empty_out(folder: int) -> None:
+    """Remove what is in an opened folder, whatever has its name now; the marker last, by which what stays is found."""
+    for name in sorted(names_in(folder), key=lambda name: name == _SERVED):
+        found = lstat(name, folder)
+        if found is not None and stat.S_ISDIR(found.st_mode):
+            shutil.rmtree(name, dir_fd=folder)
+        else:
+            os.unlink(name, dir_fd=folder)
 
 
 def _is_recent(found: os.stat_result) -> bool:

@@ -32,6 +32,7 @@ from calib.app.folder import (
     unpacked,
 )
 from calib.foundations.errors import OutputError
+from calib.foundations.folders import alone_with
 
 
 @pytest.mark.parametrize(
@@ -141,6 +142,23 @@ def test_the_temporary_folder_of_a_page_that_was_killed_goes_after_a_day(tempora
     with private_folder(None):
         assert not new.exists()
     assert list(temporary.iterdir()) == []
+
+
+def test_a_folder_that_takes_the_place_of_one_that_goes_stays(temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where others may write beside it, they could have moved a folder of this user to its name."""
+    _age(left := _killed(temporary))
+    (precious := temporary / "precious").mkdir()
+    (precious / "notes.txt").write_text("mine")
+
+    def swapped(marker: int, *, where_unknown: bool) -> bool:
+        left.rename(temporary / "elsewhere")
+        precious.rename(left)
+        return alone_with(marker, where_unknown=where_unknown)
+
+    with monkeypatch.context() as during:
+        during.setattr("calib.app.folder.alone_with", lambda *a, **k: swapped(*a, **k) if k else alone_with(*a))
+        with private_folder(None):
+            assert (left / "notes.txt").read_text() == "mine"
 
 
 def test_no_folder_goes_that_is_not_left_by_a_page_that_was_killed(
