@@ -19,7 +19,7 @@ import pytest
 from scipy.io import savemat
 
 import calib
-from calib.measurement.formats import arrays, workbook
+from calib.measurement.formats import arrays, records, workbook
 from calib.measurement.formats import sheet as sheet_
 from calib.measurement.formats.sheet import Sheet, joined, read_sheet
 from calib.measurement.table import read_table
@@ -929,6 +929,16 @@ def test_arrays_of_too_many_values_are_refused_before_each_becomes_a_word(folder
         read_sheet("a.npz")
     with pytest.raises(calib.MeasurementError, match=r"^b.npz: has 1000000 columns; allowed are 1000\.$"):
         read_sheet("b.npz")
+
+
+def test_columns_of_a_record_are_counted_as_they_come(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each has a name of its own: of a MB of lists in a list of a long name these were half a GB."""
+    read, cell = list[object](), records._cell
+    monkeypatch.setattr(records, "_cell", lambda value: read.append(value) or cell(value))
+    (folder / "a.json").write_text(json.dumps([{"n" * 900: [[1] * 500] * 900}]))
+    with pytest.raises(calib.MeasurementError, match=r"^a.json: has more than 1000 columns\.$"):
+        read_sheet("a.json")
+    assert len(read) == 1001
 
 
 def test_long_headers_of_arrays_are_not_taken_apart(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -205,13 +205,14 @@ def _rows(found: Sequence[Any], said: tuple[str, ...], where: str) -> Rows:
             if name in row:
                 raise MeasurementError(f"{where}: record {number} has two values of the name {shown(name)}.")
             row[name] = cell
+            titles[name] = None
+            # At every value: each has a name of its own, which in lists of lists may be far longer than what it names.
+            if len(titles) > _LONGEST_LIST:
+                raise MeasurementError(f"{where}: has more than {_LONGEST_LIST} columns.")
             count += 1
             if count > _MOST_CELLS:
                 raise MeasurementError(f"{where}: has more than {_MOST_CELLS} values.")
-        titles |= dict.fromkeys(row)
         rows.append(row)
-        if len(titles) > _LONGEST_LIST:
-            raise MeasurementError(f"{where}: has more than {_LONGEST_LIST} columns.")
     if count and len(rows) * len(titles) > _MOST_CELLS:
         raise MeasurementError(f"{where}: has more than {_MOST_CELLS} values.")
     return list(titles), [[row.get(title, "") for title in titles] for row in rows], said
