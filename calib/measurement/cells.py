@@ -14,10 +14,12 @@ LONGEST_LINE = 100_000
 _BLOCK = 1_000_000  # bytes; more than a line takes that is not too long
 _ARCHIVE = b"PK\x03\x04"
 # Names of files of which calib import makes a table.
+_URP = ".urp"
 _ARRAYS, _WORKBOOK, _RECORDS = ".npz", ".xlsx", (".json", ".jsonl", ".ndjson", ".yaml", ".yml")
 # What .xls begins with, and the name of the first member of an .ods, at its place.
 _OLE, _OPEN_DOCUMENT = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", (30, b"mimetype")
 _MATLAB = "is of MATLAB, and no text; calib import makes a table of it, where its name ends with .mat."
+_GZIP = b"\x1f\x8b"
 # What other programs pack or write, by its first bytes, and what to do.
 _OTHERS = {
     b"MATLAB 5.0 MAT-file": _MATLAB,
@@ -29,7 +31,7 @@ _OTHERS = {
         "is a pickle of Python, which may run code and is not read; numpy.savez writes an .npz, of which calib import "
         "makes a table.",
     ),
-    b"\x1f\x8b": "is packed by gzip, and no text; unpack it: gzip -d.",
+    _GZIP: "is packed by gzip, and no text; unpack it: gzip -d.",
     b"\x93NUMPY": "is an array of NumPy, and no text; numpy.savez writes an .npz, of which calib import makes a table.",
 }
 _XML = (b"<?xml", b"<!--", b"<robot")
@@ -111,6 +113,11 @@ def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
         )
         kind = "an archive of arrays" if where.lower().endswith(_ARRAYS) else "a workbook"
         raise MeasurementError(f"{where}: is {kind}, and no text; {to_do}")
+    if data.startswith(_GZIP) and where.lower().endswith(_URP):
+        raise MeasurementError(
+            f"{where}: is a program of Universal Robots, packed; the controller saves it as {where[: -len(_URP)]}"
+            ".script as well, of which calib import makes a table."
+        )
     for begin, said in _OTHERS.items():
         if data.startswith(begin):
             raise MeasurementError(f"{where}: {said}")

@@ -80,6 +80,10 @@ def layout(data: bytes, where: str) -> Layout:
     separator = _separator([line.text for line in plain])
     remarks = [f"cells are separated by {_NAMES[separator]}"] if separator in _NAMES else []
     rows = [cells(line.text, separator, f"{where}:{line.number}") for line in plain]
+    if _are_numbered_by_r([line.text for line in plain], rows, separator):
+        said = (*remarks, "the first column has the names of the rows, which R writes without a title")
+        nothing = ("",) * len(rows[1])
+        return Layout(separator, ("", *rows[0]), nothing, plain[0].number, plain[0].number, said)
     if _first_of_data(rows, separator) == 0:
         return _without_header(first, plain[0], rows[0], separator, remarks)
     if header := header_of(rows, separator):
@@ -98,6 +102,19 @@ def layout(data: bytes, where: str) -> Layout:
     return Layout(separator, tuple(rows[header]), units, plain[header].number, last, tuple(remarks))
 
 
+def _are_numbered_by_r(lines: Sequence[str], rows: Sequence[Sequence[str]], separator: str) -> bool:
+    """Return whether a table is as ``write.table`` of R has it: quoted titles, and quoted names of rows before numbers.
+
+    Elsewhere a title that is missing may be any.
+    """
+    if len(rows) < 2 or lines[0].count('"') != 2 * len(rows[0]) or any(is_number(cell, separator) for cell in rows[0]):
+        return False
+    return all(
+        len(row) == len(rows[0]) + 1 and line.lstrip().startswith('"') and is_number(row[1], separator)
+        for line, row in zip(lines[1:], rows[1:], strict=True)
+    )
+
+
 def refuse_two_units(titles: Sequence[str], units: Sequence[str], at: str) -> None:
     """Raise MeasurementError where a title has one unit, and the line below it, at a place, another."""
     for title, unit in zip(titles, units, strict=True):
@@ -109,7 +126,10 @@ def refuse_two_units(titles: Sequence[str], units: Sequence[str], at: str) -> No
 
 
 def _unit_in(title: str) -> str | None:
-    return symbol_of(title[:-1].rpartition("[")[2]) if title.endswith("]") else name_and_unit(title)[1]
+    if not title.endswith("]"):
+        return name_and_unit(title)[1]
+    name, _, inside = title[:-1].rpartition("[")
+    return None if is_number_of_name(name, inside) else symbol_of(inside)
 
 
 def _without_header(
@@ -212,8 +232,15 @@ def with_units(titles: Sequence[str], units: Sequence[str]) -> list[str]:
     """Return titles with the units that a row below them has."""
     pairs = zip(titles, units, strict=True)
     return [
-        f"{title} [{unit}]" if unit and "[" not in title and not _unit_in(title) else title for title, unit in pairs
+        f"{title} [{unit}]" if unit and not (_has_unit_of_its_own(title) or _unit_in(title)) else title
+        for title, unit in pairs
     ]
+
+
+def _has_unit_of_its_own(title: str) -> bool:
+    """Return whether a title has something in brackets that is not its number: it may be a unit that we do not know."""
+    name, _, inside = title.removesuffix("]").rpartition("[")
+    return "[" in title and not (title.endswith("]") and is_number_of_name(name, inside))
 
 
 def is_number_of_name(name: str, inside: str) -> bool:

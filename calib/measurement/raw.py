@@ -14,6 +14,7 @@ from calib.foundations.words import shown
 from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats import pairs
 from calib.measurement.formats.logs import is_motive
+from calib.measurement.formats.reports import of_report
 from calib.measurement.formats.statements import are_alike, are_in, are_torn, opens_list
 from calib.measurement.layout import Layout, is_number, is_number_of_name, layout, name_and_unit
 
@@ -88,9 +89,7 @@ def raw_table(data: bytes, where: str) -> RawTable:
     try:
         return _whole(data, where)
     except MeasurementError as e:
-        if are_in(data):
-            raise of_lists(where) from e
-        raise
+        raise (of_lists(where) if are_in(data) else of_report(data, where) or e) from e
 
 
 def becomes_table(data: bytes, where: str) -> bool:

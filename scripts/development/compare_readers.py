@@ -243,7 +243,7 @@ def _parsed(arguments: Sequence[str] | None) -> Any:
     parser.add_argument("--seconds", type=int, default=20, help="of processor time, for one reader and file")
     parser.add_argument("--most", type=int, default=5, help="how many of alike differences are shown")
     parser.add_argument("--outcomes", type=Path, help="a file for all outcomes of the new checkout, as lines of JSON")
-    return parser.parse_args(arguments)
+    return parser.parse_intermixed_args(arguments)
 
 
 if __name__ == "__main__":

@@ -124,9 +124,9 @@ def test_what_was_measured_and_what_was_meant_are_two_kinds(folder: Path) -> Non
     with pytest.raises(calib.MeasurementError) as caught:
         made(folder, lines)
     assert str(caught.value) == (
-        "a.txt: has several kinds of lines with numbers in brackets: 3 rows as 'target [ 1 , 2 , 0 ]' (line 1); 3 rows "
-        "as 'actual [ 1.1 , 2.1 , 0.1 ]' (line 2); say by --topic WORD which are meant, a word that the others do not "
-        "have, or keep only these."
+        "a.txt: has several kinds of lines with numbers in brackets: 3 rows as 'target [ 1 , 2 , 0 ]' (line 1, --topic "
+        "target); 3 rows as 'actual [ 1.1 , 2.1 , 0.1 ]' (line 2, --topic actual); say by --topic WORD which are "
+        "meant, a word that the others do not have, or keep only these."
     )
     assert [one[2] for one in made(folder, lines, "actual").rows] == ["0.1", "1.1", "2.1"]
     assert run("import", "a.txt", "--topic", "actual", "-o", "b.csv").code == 0

@@ -91,6 +91,13 @@ def from_mat(data: bytes, where: str) -> Rows:
         array = np.asarray(read.get(name, ()))
         if array.dtype.kind in "iuf" and array.ndim in (2, 3) and array.size:
             arrays[name] = np.moveaxis(array, 2, 0) if array.ndim == 3 else array.ravel() if 1 in array.shape else array
+    structs = [name for name, _, kind in held if kind == "struct"]
+    if structs and not arrays and not objects:
+        raise MeasurementError(
+            f"{where}: {listed(structs)} {noun(len(structs), 'is a struct', 'are structs')} of MATLAB, and not read; "
+            f"write {noun(len(structs), 'it', 'each')} there as text: writetable(struct2table({structs[0]}), "
+            f"'{structs[0]}.csv')."
+        )
     if objects and not arrays:
         raise MeasurementError(
             f"{where}: {listed(objects)} {noun(len(objects), 'is an object', 'are objects')} of MATLAB, such as a "
@@ -165,7 +172,7 @@ def _class_and_name(head: bytes, order: str) -> tuple[bool, str | None]:
 def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[str], where: str) -> Rows:
     if _are_one_record(arrays.values()):
         return _as_record(arrays, names, where)
-    arrays = {name: _without_single_axis(array) for name, array in arrays.items()}
+    arrays, turned = _upright({name: _without_single_axis(array) for name, array in arrays.items()})
     counts = Counter(len(array) for array in arrays.values())
     if not counts:
         raise MeasurementError(f"{where}: holds no arrays of numbers or words, with a row for every measurement.")
@@ -181,8 +188,27 @@ def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[s
     columns = [column for name, array in taken.items() for column in _columns(name, array)]
     left = [name for name in names if name not in taken]
     what = "is no array" if len(left) == 1 else "are no arrays"
-    said = (f"{listed(left)} {what} of numbers or words with {counted(rows, 'row')}, and left out",) if left else ()
-    return [title for title, _ in columns], list(zip(*(cells for _, cells in columns), strict=True)), said
+    said = [f"the columns of {listed(turned)} are the rows"] if turned else []
+    said += [f"{listed(left)} {what} of numbers or words with {counted(rows, 'row')}, and left out"] if left else []
+    return [title for title, _ in columns], list(zip(*(cells for _, cells in columns), strict=True)), tuple(said)
+
+
+def _upright(
+    arrays: Mapping[str, npt.NDArray[np.generic]],
+) -> tuple[Mapping[str, npt.NDArray[np.generic]], list[str]]:
+    """Return arrays with a row for every measurement, and the names of those that had a column for each.
+
+    As of readings (6, N) beside points (3, N), or times (N,): more arrays have N rows then than matrices are as long as
+    they are, and none of these has N already.
+    """
+    most = max(Counter(len(array) for array in arrays.values() if array.ndim > 1).values(), default=0)
+    wide = {name: array.shape[1] for name, array in arrays.items() if array.ndim == 2 and array.shape[1] > len(array)}
+    for count in dict.fromkeys(wide.values()):
+        lying = [name for name, own in wide.items() if own == count]
+        beside = [array for array in arrays.values() if len(array) == count]
+        if all(array.ndim != 2 for array in beside) and len(lying) + len(beside) > most:
+            return {name: array.T if name in lying else array for name, array in arrays.items()}, lying
+    return arrays, []
 
 
 def _are_one_record(arrays: Collection[npt.NDArray[np.generic]]) -> bool:

@@ -12,6 +12,7 @@ from calib.foundations.files import read_bytes
 from calib.foundations.words import counted, listed, shown
 from calib.measurement.cells import Rows, beginning, cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats import arrays, logs, matrices, pairs, records, statements, workbook
+from calib.measurement.formats.reports import of_report
 from calib.measurement.layout import is_number, layout, name_and_unit, with_point, with_units
 
 _MOST_COLUMNS = 1000
@@ -85,7 +86,10 @@ def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
     data = read_bytes(path, MeasurementError, _LARGEST)
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        return _checked(_of_log(data, where, part) or _of_text(data, where, part), data)
+        try:
+            return _checked(_of_log(data, where, part) or _of_text(data, where, part), data)
+        except MeasurementError as e:
+            raise of_report(in_bytes(data, where), where) or e from e
     titles, rows, said = reader(data, where)
     if not rows or not titles:
         raise MeasurementError(f"{where}: has no rows.")
@@ -263,6 +267,11 @@ def _timed(sheet: Sheet) -> bool:
 def _in_order(first: Sheet, second: Sheet, refused: str) -> Sheet:
     if len(first.rows) != len(second.rows):
         left = [f"; {remark}" for sheet in (first, second) for remark in sheet.remarks if "left out" in remark]
+        left += [
+            f"; {sheet.where} has a row for each of X, Y and Z, and none for each point"
+            for sheet in (first, second)
+            if _has_a_row_for_each_coordinate(sheet)
+        ]
         raise MeasurementError(
             f"{first.where} has {counted(len(first.rows), 'row')} and {second.where} {len(second.rows)}, and {refused}"
             f"{''.join(left)}."
@@ -271,6 +280,15 @@ def _in_order(first: Sheet, second: Sheet, refused: str) -> Sheet:
     said = f"{counted(len(rows), 'row')} joined in their order"
     remarks = (*first.remarks, *second.remarks, said)
     return Sheet(_apart(first.titles, second.titles), rows, first.where, remarks, size=first.size + second.size)
+
+
+def _has_a_row_for_each_coordinate(sheet: Sheet) -> bool:
+    """Return whether the words of a column are X, Y and Z in turn."""
+    turn = ("x", "y", "z")
+    columns = zip(*sheet.rows, strict=True)
+    return len(sheet.rows) % 3 == 0 and any(
+        all(word.lower() == turn[k % 3] for k, word in enumerate(column)) for column in columns
+    )
 
 
 def stacked(sheets: Sequence[Sheet], title: str) -> Sheet:

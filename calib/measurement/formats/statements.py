@@ -45,6 +45,8 @@ _NUMBER = r"(?<![\w.])[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?(
 # A minus that stands by itself before a number, where nothing is that it could be taken from.
 _APART = re.compile(rf"([\[({{,;:=]\s*)-\s+(?={_NUMBER.replace('[+-]?', '', 1)})")
 _TOKEN = re.compile(rf"""(?P<text>"[^"\n]*"|'[^'\n]*')|(?P<number>{_NUMBER})|(?P<word>\w+)|(?P<sign>[^\s\w])""")
+# What words are made of.
+_PART = re.compile(r"[^\W\d_]+")
 
 
 class _Token(NamedTuple):
@@ -67,9 +69,15 @@ class _Statement(NamedTuple):
         """Whether some brackets hold as many numbers as a point."""
         return _lists(self.tokens) > 0
 
-    def has_word(self, word: str) -> bool:
-        """Whether it has a word, or a text in quotes."""
-        return any(_plain(token.text) == word for token in self.tokens)
+    @property
+    def words(self) -> list[str]:
+        """Its words, and texts in quotes."""
+        return [_plain(token.text) for token in self.tokens if token.kind in ("word", "text")]
+
+    @property
+    def parts(self) -> list[str]:
+        """What its words are made of: ``Waypoint_1_q`` of ``Waypoint`` and ``q``."""
+        return [part for word in self.words for part in _PART.findall(word)]
 
     @property
     def shape(self) -> tuple[str, ...]:
@@ -109,17 +117,19 @@ def from_statements(data: bytes, where: str, part: str | None = None) -> Rows | 
     with_lists = [one for one in statements if one.has_list]
     others = len(statements) - len(with_lists)
     if part is not None:
-        with_lists = [one for one in with_lists if one.has_word(part)]
+        with_lists = _with_word(with_lists, part)
         if not with_lists:
             raise MeasurementError(f"{where}: no line with numbers in brackets has the word {shown(part)}.")
     every = [row for one in with_lists for row in _rows_of(one, len(with_lists) == 1)]
     if part is not None:  # lists in a list have the word of what they are in, or none
-        every = [row for row in every if row.has_word(part)] or every
+        every = _with_word(every, part) or every
     if not every:
         return None
     kinds = _kinds(every)
     if len(kinds) > 1:
-        told = "; ".join(f"{counted(len(kind), 'row')} as {_told(kind[0])}" for kind in kinds[:_MOST_TOLD])
+        told = "; ".join(
+            f"{counted(len(kind), 'row')} as {_told(kind[0], _word_of(kind, every))}" for kind in kinds[:_MOST_TOLD]
+        )
         more = f"; and {len(kinds) - _MOST_TOLD} more kinds" if len(kinds) > _MOST_TOLD else ""
         raise MeasurementError(
             f"{where}: has several kinds of lines with numbers in brackets: {told}{more}; say by --topic WORD which "
@@ -179,8 +189,28 @@ def _runs(tokens: Sequence[_Token]) -> Iterator[list[int]]:
         yield run
 
 
-def _told(statement: _Statement) -> str:
-    return f"{shown(' '.join(token.text for token in statement.tokens[:12]))} (line {statement.tokens[0].line})"
+def _told(statement: _Statement, word: str = "") -> str:
+    how = f", --topic {word}" if word else ""
+    return f"{shown(' '.join(token.text for token in statement.tokens[:12]))} (line {statement.tokens[0].line}{how})"
+
+
+def _with_word(statements: Sequence[_Statement], word: str) -> list[_Statement]:
+    """Return the statements that have a word; where none has it, those of which a part of a word is that."""
+    found = [one for one in statements if word in one.words]
+    return found or [one for one in statements if word in one.parts]
+
+
+def _word_of(kind: Sequence[_Statement], every: Sequence[_Statement]) -> str:
+    """Return a word by which :func:`_with_word` finds the statements of a kind among all; nothing where none does."""
+    lines = {id(one) for one in kind}
+    others = [one for one in every if id(one) not in lines]
+    known = {word for one in every for word in one.words}
+    taken = {word for one in others for word in one.words}
+    whole = set.intersection(*(set(one.words) for one in kind)) - taken
+    parts = set.intersection(*(set(one.parts) for one in kind)) - known
+    parts -= {part for one in others for part in one.parts}
+    told = (word for word in (*kind[0].words, *kind[0].parts) if word in whole or word in parts)
+    return next((word for word in told if word.isidentifier()), "")
 
 
 def expanded(titles: Sequence[str], rows: Sequence[Sequence[str]], where: str, most: int) -> Rows:
