@@ -145,7 +145,9 @@ def _recording(files: list[Path], topic: str | None, out: Path | None, telling: 
     from calib.presentation.command_tables import topic_sheet
 
     if len(files) != 1 or (topic is None) != (out is None):
-        raise typer.BadParameter("a recording is one file or folder; --topic and -o go together.")
+        raise typer.BadParameter(
+            "a recording is one file or folder; --topic and -o go together, and without both its topics are listed."
+        )
     if topic is None or out is None:
         found = topics(files[0])
         telling.tell(lambda: {"topics": [one._asdict() for one in found]}, lambda: [topic_sheet(found)])

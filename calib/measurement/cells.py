@@ -13,6 +13,10 @@ from calib.foundations.units import symbol_of
 LONGEST_LINE = 100_000
 _BLOCK = 1_000_000  # bytes; more than a line takes that is not too long
 _ARCHIVE = b"PK\x03\x04"
+# A member that every workbook has; the names of members are not packed.
+_PARTS_OF_WORKBOOK = b"[Content_Types].xml"
+# The sign of typesetters, which programs write before a number in Swedish, Norwegian, Finnish and other settings.
+_MINUS = re.compile("\u2212(?=[0-9.,])")
 # Names of files of which calib import makes a table.
 _URP = ".urp"
 _ARRAYS, _WORKBOOK, _RECORDS = ".npz", ".xlsx", (".json", ".jsonl", ".ndjson", ".yaml", ".yml")
@@ -32,6 +36,11 @@ _OTHERS = {
         "makes a table.",
     ),
     _GZIP: "is packed by gzip, and no text; unpack it: gzip -d.",
+    b"\x02\x50": "is C3D of motion capture, and no text; export its points there as text.",
+    b"TDSm": "is TDMS of LabVIEW, and no text; save it as .xlsx or as CSV.",
+    b"ARROW1": "is Arrow, and no text; write it as CSV, as DataFrame.to_csv() of pandas does.",
+    b"SQLite format 3\0": "is a data base, and no text; of a recording of ROS, calib import lists the topics.",
+    b"%PDF-": "is PDF, and no text; export the numbers as .xlsx or as CSV where it was made.",
     b"\x93NUMPY": "is an array of NumPy, and no text; numpy.savez writes an .npz, of which calib import makes a table.",
 }
 _XML = (b"<?xml", b"<!--", b"<robot")
@@ -106,13 +115,7 @@ def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
     if data.startswith(_OLE) or (data.startswith(_ARCHIVE) and data.startswith(member, at)):
         raise MeasurementError(f"{where}: is a document of another program, and no text; save it as .xlsx or as CSV.")
     if data.startswith(_ARCHIVE):
-        to_do = (
-            f"calib import {where} -o table.csv makes a table."
-            if where.lower().endswith((_ARRAYS, _WORKBOOK))
-            else "call it .xlsx, and calib import makes a table of it."
-        )
-        kind = "an archive of arrays" if where.lower().endswith(_ARRAYS) else "a workbook"
-        raise MeasurementError(f"{where}: is {kind}, and no text; {to_do}")
+        raise MeasurementError(f"{where}: {_of_archive(data, where)}")
     if data.startswith(_GZIP) and where.lower().endswith(_URP):
         raise MeasurementError(
             f"{where}: is a program of Universal Robots, packed; the controller saves it as {where[: -len(_URP)]}"
@@ -135,7 +138,7 @@ def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
         end = _end_of_block(data, start)
         text = _decoded(data[start:end], data, start, where)
         # splitlines() would also split at form feeds and the like, and number the lines as no editor does.
-        every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        every = _MINUS.sub("-", text).replace("\r\n", "\n").replace("\r", "\n").split("\n")
         found = [
             Line(number + k, line, k < len(every) - 1) for k, line in enumerate(every) if line.strip().strip(_BLANK)
         ]
@@ -145,6 +148,20 @@ def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
         if found:
             yield found
         start, number = end, number + len(every) - 1
+
+
+def _of_archive(data: bytes, where: str) -> str:
+    """Return what an archive is, and what to do: one of arrays, a workbook, or some other."""
+    named = where.lower().endswith((_ARRAYS, _WORKBOOK))
+    if not named and _PARTS_OF_WORKBOOK not in data:
+        return "is an archive, and no text; unpack it."
+    to_do = (
+        f"calib import {where} -o table.csv makes a table."
+        if named
+        else "call it .xlsx, and calib import makes a table of it."
+    )
+    kind = "an archive of arrays" if where.lower().endswith(_ARRAYS) else "a workbook"
+    return f"is {kind}, and no text; {to_do}"
 
 
 def _decoded(block: bytes, data: bytes, start: int, where: str) -> str:

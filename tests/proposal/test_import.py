@@ -620,6 +620,9 @@ def test_a_workbook_in_the_place_of_a_table_says_what_to_do(folder: Path) -> Non
     expected = "Error: m.xlsx: is a workbook, and no text; calib import m.xlsx -o table.csv makes a table.\n"
     assert (said.code, said.err) == (1, expected)
     (folder / "m.xlsx").rename(folder / "m.csv")
+    expected = "Error: m.csv: is an archive, and no text; unpack it.\n"
+    assert run("import", "m.csv", "-o", "t.csv") == (1, "", expected)
+    (folder / "m.csv").write_bytes(b"PK\x03\x04" + bytes(26) + b"[Content_Types].xml" + bytes(100))
     expected = "Error: m.csv: is a workbook, and no text; call it .xlsx, and calib import makes a table of it.\n"
     assert run("import", "m.csv", "-o", "t.csv") == (1, "", expected)
 

@@ -66,6 +66,35 @@ def test_a_packed_program_of_universal_robots_names_its_script(folder: Path) -> 
         read_sheet("poses.urp")
 
 
+@pytest.mark.parametrize(
+    ("contents", "said"),
+    [
+        (b"\x02\x50" + bytes(600), "is C3D of motion capture"),
+        (b"TDSm\x0e" + bytes(60), "is TDMS of LabVIEW"),
+        (b"ARROW1" + bytes(60), "is Arrow"),
+        (b"SQLite format 3" + bytes(60), "is a data base"),
+        (b"%PDF-1.4\n1 0 obj\n<<>>\nendobj\n", "is PDF"),
+    ],
+    ids=["C3D", "TDMS", "Arrow", "SQLite", "PDF"],
+)
+def test_files_of_no_text_say_what_they_are(folder: Path, contents: bytes, said: str) -> None:
+    (folder / "a.dat").write_bytes(contents)
+    with pytest.raises(calib.MeasurementError, match=said):
+        read_sheet("a.dat")
+
+
+def test_a_minus_of_typesetters_is_one(folder: Path) -> None:
+    """Programs write it before numbers in Swedish, Norwegian and Finnish settings."""
+    s = session()
+    columns = [np.degrees(s.readings), 1e3 * s.position]
+    written = text([*(f"J{k}" for k in range(1, 7)), "X\u2212a", "Y\u2212a", "Z\u2212a"], columns, ";", comma=True)
+    (folder / "a.csv").write_text(written.replace("-", "\u2212"))
+    sheet = read_sheet("a.csv")
+    assert sheet.titles[-1] == "Z\u2212a"
+    assert np.allclose([float(row[0]) for row in sheet.rows], np.degrees(s.readings[:, 0]), atol=1e-6)
+    assert not calib.measuring.propose(UR10, ["a.csv"]).questions
+
+
 def test_waypoints_of_two_kinds_are_told_apart_by_words_that_the_message_names(folder: Path) -> None:
     """The controller writes a place and the joints of each waypoint, whose names have one word."""
     s = session()
