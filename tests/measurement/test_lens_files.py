@@ -43,6 +43,31 @@ def test_ros(tmp_path: Path) -> None:
     assert read(tmp_path, ROS) == (LENS, (1280, 720))
 
 
+def test_a_message_as_rostopic_echo_prints_it(tmp_path: Path) -> None:
+    message = """header:
+  seq: 7
+  frame_id: eye
+height: 720
+width: 1280
+distortion_model: plumb_bob
+D: [-0.1, 0.02, 0.0001, -0.0002, 0.003]
+K: [900.5, 0, 640.25, 0, 901.5, 360.75, 0, 0, 1]
+binning_x: 0
+roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}
+---
+"""
+    assert read(tmp_path, message) == (LENS, (1280, 720))
+    with pytest.raises(JobError, match=r"has 2 documents, with --- between them; keep one\.$"):
+        read(tmp_path, 2 * message)
+    with pytest.raises(JobError, match="it is no mapping of names"):
+        read(tmp_path, "---\n")
+
+
+def test_names_as_the_example_of_opencv_writes_them(tmp_path: Path) -> None:
+    text = ROS.replace("camera_matrix", "Camera_Matrix").replace("distortion_coeff", "Distortion_Coeff")
+    assert read(tmp_path, text) == (LENS, (1280, 720))
+
+
 def test_numbers_as_cpp_writes_them_are_no_texts(tmp_path: Path) -> None:
     assert read(tmp_path, ROS.replace("0.0001", "1e-4").replace("0.003", "3E-03")) == (LENS, (1280, 720))
     for wrong in ("1e999", "9" * 400, "one", ".nan", "2026-01-01"):

@@ -21,8 +21,16 @@ _HEADER, _TAG = re.compile(r"\A%YAML[: ]1\.\d\s*"), re.compile(r"!!opencv-matrix
 _OF_A_MODEL = re.compile("(?i)model|type|projection")
 _OTHER_MODEL = re.compile("(?i)fish.?eye|equidist|kannala|omni(?!.?vision)|double.?sphere|unified|scaramuzza")
 _WHOLE = re.compile(r"\+?[0-9]{1,9}")
-_MATRIX = ("camera_matrix", "cameraMatrix", "CameraMatrix", "K", "k")
-_BENT = ("distortion_coefficients", "dist_coeffs", "dist_coeff", "distCoeffs", "D", "d")
+_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "CameraMatrix", "K", "k")
+_BENT = (
+    "distortion_coefficients",
+    "Distortion_Coefficients",
+    "dist_coeffs",
+    "dist_coeff",
+    "distCoeffs",
+    "D",
+    "d",
+)
 # How many numbers of distortion OpenCV has; none where a lens has none.
 _COUNTS = (0, 4, 5, 8, 12, 14)
 # In the order of precedence: width and height of images.
@@ -102,16 +110,19 @@ def _refuse_others(path: Path, found: Mapping[str, Any]) -> None:
 def _yaml(path: Path) -> Mapping[str, Any]:
     text = text_of(read_bytes(path, JobError, _LARGEST), str(path), JobError).replace("\r\n", "\n")
     text = _TAG.sub("", _HEADER.sub("", text))
-    found = read_yaml(text, str(path), JobError, _document)
+    documents = read_yaml(text, str(path), JobError, _documents)
+    if len(documents) > 1:  # rostopic echo ends a message with the line that would begin another one
+        raise JobError(f"{path}: has {len(documents)} documents, with --- between them; keep one.")
+    found = documents[0] if documents else None
     if not isinstance(found, Mapping):
         raise JobError(f"{path}: holds no lens: it is no mapping of names.")
     return found
 
 
-def _document(yaml: Any, text: str, loader: Any) -> Any:
-    """Return the document with its scalars as they are written: to YAML 1.1, 0240 would be 160 and 10:00 600."""
-    node = yaml.compose(text, loader)
-    return None if node is None else written(node)
+def _documents(yaml: Any, text: str, loader: Any) -> list[Any]:
+    """Return documents with their scalars as they are written: to YAML 1.1, 0240 would be 160 and 10:00 600."""
+    every = [written(node) for node in yaml.compose_all(text, loader)]
+    return [one for one in every if one is not None]
 
 
 def _numbers(path: Path, what: str, value: Any) -> list[float]:
