@@ -24,6 +24,8 @@ _ARRAYS, _WORKBOOK, _RECORDS = ".npz", ".xlsx", (".json", ".jsonl", ".ndjson", "
 _OLE, _OPEN_DOCUMENT = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", (30, b"mimetype")
 _MATLAB = "is of MATLAB, and no text; calib import makes a table of it, where its name ends with .mat."
 _GZIP = b"\x1f\x8b"
+# In a list of scalars, since NumPy 2.
+_WITH_KIND = re.compile(rb"\bnp\.(?:float|int|uint)[0-9]+\(([-+.0-9a-z]*)\)")
 # What other programs pack or write, by its first bytes, and what to do.
 _OTHERS = {
     b"MATLAB 5.0 MAT-file": _MATLAB,
@@ -85,13 +87,16 @@ def is_comment(line: str) -> bool:
 
 
 def in_bytes(data: bytes, where: str) -> bytes:
-    """Return a text in bytes of which a line end is one: UTF-16 with its mark as UTF-8, all else as it is."""
-    if not data.startswith(_UTF16_MARKS):
-        return data
-    try:
-        return data.decode("utf-16").encode()
-    except UnicodeError as e:
-        raise MeasurementError(f"{where}: is not whole UTF-16 text; save it as UTF-8.") from e
+    """Return a text in bytes of which a line end is one: UTF-16 with its mark as UTF-8, all else as it is.
+
+    Numbers that NumPy prints with their kind, as ``np.float64(0.5)``, are numbers.
+    """
+    if data.startswith(_UTF16_MARKS):
+        try:
+            data = data.decode("utf-16").encode()
+        except UnicodeError as e:
+            raise MeasurementError(f"{where}: is not whole UTF-16 text; save it as UTF-8.") from e
+    return _WITH_KIND.sub(rb"\1", data) if b"np." in data else data
 
 
 def whole_text(data: bytes, where: str) -> str:

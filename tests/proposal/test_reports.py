@@ -95,6 +95,21 @@ def test_a_minus_of_typesetters_is_one(folder: Path) -> None:
     assert not calib.measuring.propose(UR10, ["a.csv"]).questions
 
 
+def test_numbers_that_numpy_prints_with_their_kind_are_numbers(folder: Path) -> None:
+    q = ", ".join(f"np.float64({k}.5)" for k in range(6))
+    (folder / "a.csv").write_text(f'joints,n\n"[{q}]",1\n"[{q}]",2\n')
+    assert read_sheet("a.csv").rows[0] == ("0.5", "1.5", "2.5", "3.5", "4.5", "5.5", "1")
+    (folder / "b.txt").write_text(f"q=[{q}] p=[np.float32(1e-05), np.int64(-2), np.float64(nan)]\n" * 2)
+    assert read_sheet("b.txt").rows[0][:8] == ("0.5", "1.5", "2.5", "3.5", "4.5", "5.5", "1e-05", "-2")
+
+
+def test_a_table_without_a_number_is_none(folder: Path) -> None:
+    """The first line of such a log was its header, and the rows were words."""
+    (folder / "a.txt").write_text("".join(f"[{k}] J1: 0.5 rad, J2: 2 rad | X: 1.5 m, Y: {k} m\n" for k in range(4)))
+    with pytest.raises(calib.MeasurementError, match=r"no cell is a number, and the first one is '\[1\] J1: 0\.5 rad"):
+        read_sheet("a.txt")
+
+
 def test_waypoints_of_two_kinds_are_told_apart_by_words_that_the_message_names(folder: Path) -> None:
     """The controller writes a place and the joints of each waypoint, whose names have one word."""
     s = session()

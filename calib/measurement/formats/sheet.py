@@ -87,7 +87,7 @@ def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
     reader = readers.get(path.suffix.lower())
     if reader is None:
         try:
-            return _checked(_of_log(data, where, part) or _of_text(data, where, part), data)
+            return _checked(_of_log(data, where, part) or _with_numbers(_of_text(data, where, part)), data)
         except MeasurementError as e:
             raise of_report(in_bytes(data, where), where) or e from e
     titles, rows, said = reader(data, where)
@@ -169,6 +169,14 @@ def _of_text(data: bytes, where: str, part: str | None) -> Sheet:
     if sheet is None:
         raise refused or MeasurementError(f"{where}: is no table.")
     return _with_names_of_log(sheet)
+
+
+def _with_numbers(sheet: Sheet) -> Sheet:
+    """Return a sheet; raise MeasurementError where no cell is a number, as where lines of a log were taken for rows."""
+    if any(is_number(cell, ";") for row in sheet.rows for cell in row):
+        return sheet
+    first = next(filter(None, sheet.rows[0]), "")
+    raise MeasurementError(f"{sheet.where}: no cell is a number, and the first one is {shown(first)}; is it a table?")
 
 
 def _is_whole(sheet: Sheet) -> bool:
