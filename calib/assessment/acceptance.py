@@ -35,6 +35,7 @@ from calib.foundations.chance import bound, exceeded
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread, svd
 from calib.foundations.ranges import refuse_beyond
+from calib.foundations.sealing import sealed
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.remembered import Remembered
 from calib.machine.tool_uncertainty import common_errors, residual_errors, row_freedom, row_noise
@@ -73,6 +74,7 @@ class ChiSquare:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Judgement:
     """One judgement of new measurements. ``residuals`` (N, 3 or 6): measured minus predicted, in m and rad."""
 

@@ -21,6 +21,7 @@ from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.chance import drawing
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.foundations.sealing import sealed
 from calib.foundations.words import not_calibrated
 from calib.identification.fit import Fit
 from calib.identification.identify import identify_alike
@@ -34,6 +35,7 @@ _MOST = 100_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Bootstrap:
     """Repeated fits. ``values`` (B, p) of the fit's parameters; ``positions`` (B, N, 3) of a tool in m.
 

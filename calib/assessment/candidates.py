@@ -16,6 +16,7 @@ from calib.foundations.chance import drawing
 from calib.foundations.choices import MOST_CANDIDATES, Observed
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import finite, refuse_beyond, refuse_shape
+from calib.foundations.sealing import sealed
 from calib.foundations.units import DEG
 from calib.foundations.words import refuse_other
 from calib.identification.error_model import ErrorModel
@@ -49,6 +50,7 @@ def roughly(tool: Sequence[float] = (0.05, 0.0, 0.05), tracker: Sequence[float] 
 
 
 @dataclass(frozen=True, slots=True)
+@sealed
 class PlannedMeasurement:
     """How poses are measured. ``frames``: where base and tool are, roughly; ``observes`` "position" or "pose".
 
@@ -160,6 +162,7 @@ class Sight:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Candidates:
     """Poses that can be measured: ``readings`` (N, nr). ``rejected``: of ``tried`` poses how many for which reason."""
 

@@ -29,6 +29,7 @@ from calib.foundations import linear
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
+from calib.foundations.sealing import sealed
 from calib.foundations.words import refuse_other
 from calib.identification import identifiability
 
@@ -63,6 +64,7 @@ class DesignRows(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Space:
     """Everything a design is judged by, in the directions that the candidates see. Made by :func:`space`.
 

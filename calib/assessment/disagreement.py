@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.assessment.influence import ALONE, Influence, Residue
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.linear import svd
 from calib.identification.arrow import Arrow, Collected
@@ -64,6 +65,7 @@ class Jump:
     chance: float
     size: float
 
+    @checked
     def is_told(self, level: float) -> bool:
         """Whether it is no accident. What is smaller than the noise of a fit is its priors', if that is too large."""
         return self.chance < level and self.size > 1.0

@@ -8,6 +8,7 @@ import numpy as np
 from calib.assessment.judged import JudgedSet
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
+from calib.foundations.sealing import sealed
 from calib.identification.fit import Fit
 from calib.identification.machine import POSE
 from calib.identification.observations.pixels import marks_seen
@@ -19,6 +20,7 @@ from calib.measurement.projection import project
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class HandEye:
     """Where a camera is: its pose (4, 4) in the link ``parent``, and how it sees.
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.chance import exceeded
+from calib.foundations.sealing import sealed
 from calib.identification import losses, weights
 from calib.identification.arrow import Covariance, Split
 from calib.identification.fit import Fit
@@ -137,6 +138,7 @@ class SquaresOfSet(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+@sealed
 class Residue:
     """A fit as a linear system. Columns of Jacobians are for one parameter scale, as is the ``covariance``.
 

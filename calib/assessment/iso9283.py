@@ -20,6 +20,8 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, rows_by_word
 from calib.foundations.errors import MeasurementError
+from calib.foundations.ranges import finite
+from calib.foundations.words import counted
 from calib.measurement.cycles import Cycles
 
 
@@ -39,60 +41,91 @@ def records(figures: Sequence[IsoFigure]) -> list[dict[str, Any]]:
     return [asdict(figure) for figure in figures]
 
 
-# ---- the formulas
+_NO_POINT = "the commanded position must be three finite numbers, in m."
+
+# ---- the formulas; they raise MeasurementError for cycles of another shape, or too few of them
 
 
+def _cycles(attained: Array, least: int = 1) -> Array:
+    """Return positions or turns (n, 3) of ``least`` cycles or more as they are."""
+    found = finite(attained, (None, 3), "what was attained must be finite numbers (n, 3), in m or rad.")
+    if len(found) < least:
+        raise MeasurementError(f"repeatability needs {least} cycles or more.")
+    return found
+
+
+def _distances_of(first: Array, second: Array, least: int) -> Array:
+    """Return the distances (n,) of two poses, cycle by cycle."""
+    one, other = _cycles(first, least), _cycles(second, least)
+    if len(one) != len(other):
+        raise MeasurementError(f"{counted(len(one), 'cycle')} of one pose and {len(other)} of the other.")
+    return np.asarray(np.linalg.norm(one - other, axis=1))
+
+
+@checked
 def position_accuracy(attained: Array, commanded: Array) -> float:
     """Return AP_P = |xbar - x_c| in m of attained positions (n, 3) and the commanded one (3,).
 
     AP_P = sqrt((xbar - x_c)^2 + (ybar - y_c)^2 + (zbar - z_c)^2); the parts AP_x, AP_y, AP_z are its components.
     """
-    return float(np.linalg.norm(attained.mean(axis=0) - commanded))
+    return float(np.linalg.norm(_cycles(attained).mean(axis=0) - finite(commanded, (3,), _NO_POINT)))
 
 
+@checked
 def position_repeatability(attained: Array) -> float:
     """Return RP_l = lbar + 3 S_l in m of attained positions (n, 3), n >= 2.
 
     With l_j = |x_j - xbar|, lbar their mean and S_l = sqrt(sum (l_j - lbar)^2 / (n - 1)): the radius of a ball about
     the mean position.
     """
-    distances = np.linalg.norm(attained - attained.mean(axis=0), axis=1)
+    own = _cycles(attained, 2)
+    distances = np.linalg.norm(own - own.mean(axis=0), axis=1)
     return float(distances.mean() + 3.0 * distances.std(ddof=1))
 
 
+@checked
 def orientation_accuracy(turns: Array) -> Array:
     """Return AP_a, AP_b, AP_c = mean turn (3,) in rad of turns (n, 3) from the commanded orientation."""
-    return np.asarray(turns.mean(axis=0))
+    return np.asarray(_cycles(turns).mean(axis=0))
 
 
+@checked
 def orientation_repeatability(turns: Array) -> Array:
     """Return RP_a, RP_b, RP_c = 3 S (3,) in rad, S_a = sqrt(sum (a_j - abar)^2 / (n - 1)) of turns (n, 3), n >= 2."""
-    return np.asarray(3.0 * turns.std(axis=0, ddof=1))
+    return np.asarray(3.0 * _cycles(turns, 2).std(axis=0, ddof=1))
 
 
+@checked
 def multidirectional_variation(by_direction: Sequence[Array]) -> float:
     """Return vAP_P = max |xbar_h - xbar_k| in m over pairs of directions; attained positions (n, 3) of each."""
-    return float(scipy.spatial.distance.pdist(np.array([attained.mean(axis=0) for attained in by_direction])).max())
+    means = np.array([_cycles(attained).mean(axis=0) for attained in by_direction])
+    if len(means) < 2:
+        raise MeasurementError("multidirectional variation needs two directions or more.")
+    return float(scipy.spatial.distance.pdist(means).max())
 
 
+@checked
 def distance_accuracy(first: Array, second: Array, commanded: float) -> float:
     """Return AD = Dbar - D_c in m, signed, of attained positions (n, 3) of two poses, cycle by cycle.
 
     With D_j = |x_1j - x_2j| and D_c the commanded distance.
     """
-    return float(np.linalg.norm(first - second, axis=1).mean() - commanded)
+    return float(_distances_of(first, second, 1).mean() - commanded)
 
 
+@checked
 def distance_repeatability(first: Array, second: Array) -> float:
     """Return RD = 3 S_D in m, S_D = sqrt(sum (D_j - Dbar)^2 / (n - 1)) of the distances of two poses, n >= 2."""
-    return float(3.0 * np.linalg.norm(first - second, axis=1).std(ddof=1))
+    return float(3.0 * _distances_of(first, second, 2).std(ddof=1))
 
 
+@checked
 def accuracy_drift(first: Array, last: Array, commanded: Array) -> float:
     """Return dAP_P = |AP_P(first) - AP_P(last)| in m: how the accuracy at one pose changed between two spells."""
     return abs(position_accuracy(first, commanded) - position_accuracy(last, commanded))
 
 
+@checked
 def repeatability_drift(first: Array, last: Array) -> float:
     """Return dRP_P = |RP_l(first) - RP_l(last)| in m."""
     return abs(position_repeatability(first) - position_repeatability(last))

@@ -18,6 +18,7 @@ from calib.assessment.entering import Blocks, Products, filled
 from calib.assessment.validation import HeldOut, held_out
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import IdentificationError
+from calib.foundations.sealing import sealed
 from calib.identification.error_model import with_terms
 from calib.identification.fit import Fit
 from calib.identification.initialisation.problem import initial_problem
@@ -56,6 +57,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Way:
     """Candidates in the order in which they entered, and changes (steps + 1, p) of the scaled parameters."""
 

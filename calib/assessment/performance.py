@@ -22,6 +22,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only, rows_by_word
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
+from calib.foundations.sealing import sealed
 from calib.foundations.units import MM
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.conditions import refuse_lacking
@@ -150,6 +151,7 @@ def _sphere(points: Array, place: str) -> Sphere:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Performance:
     """What the tests say of one arm: its ``figures``, in the order of the tests.
 

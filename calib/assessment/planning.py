@@ -16,6 +16,7 @@ from calib.foundations.choices import Criterion
 from calib.foundations.errors import JobError
 from calib.foundations.linear import one_thread
 from calib.foundations.ranges import refuse_beyond
+from calib.foundations.sealing import sealed
 from calib.identification.error_model import ErrorModel
 from calib.identification.observability import indices
 from calib.identification.parameters import Parameter, scales
@@ -39,6 +40,7 @@ class Forecast:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Plan:
     """Chosen poses. Made by :func:`plan`.
 

@@ -22,6 +22,7 @@ from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import finite
+from calib.foundations.sealing import sealed
 from calib.identification import identifiability
 from calib.identification.arrow import Arrow
 from calib.identification.error_model import ErrorModel
@@ -42,6 +43,7 @@ class ErrorCoefficients(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Sensitivity:
     """How far each parameter moves the tip over a set of poses. Made by :func:`sensitivity`.
 
@@ -73,6 +75,7 @@ class Sensitivity:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class GroupStudy:
     """What becomes of the tip error when one group of parameter errors grows or shrinks. Made by :func:`group_study`.
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
+from calib.foundations.sealing import sealed
 
 _MOST_STEPS = 100
 _MOST_HALVINGS = 30
@@ -19,6 +20,7 @@ _INSIDE = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Sphere:
     """A sphere: ``centre`` (3,) and ``radius``, in m."""
 

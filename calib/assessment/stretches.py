@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.assessment.influence import Residue
 from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.sealing import sealed
 from calib.identification.parameters import scales
 from calib.identification.repeats import Repeats, by_pose
 from calib.identification.system import Problem
@@ -23,6 +24,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Stretch:
     """Rows of one set in their order, whitened: ``r`` (n, d), ``J`` (n, d, k); how they follow what is no parameter.
 

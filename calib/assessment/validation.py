@@ -23,6 +23,8 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, number_in_kind,
 from calib.foundations.brief import brief
 from calib.foundations.choices import FOLDS
 from calib.foundations.errors import JobError, MeasurementError
+from calib.foundations.sealing import sealed
+from calib.foundations.words import refuse_other
 from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near, residuals_of
@@ -356,6 +358,7 @@ def held_out(squares: Array, group: IntArray) -> HeldOut:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class CrossValidation:
     """Made by :func:`cross_validate`. ``residuals`` (N, d) of every set: of each row by a fit without its fold.
 
@@ -368,8 +371,10 @@ class CrossValidation:
     residuals: tuple[Array, ...]
     group: IntArray
 
+    @checked
     def figure(self, quantity: str = "position") -> HeldOut:
-        """Return the figure of a quantity, in its unit. Raises KeyError for one that no set has."""
+        """Return the figure of a quantity, in its unit. Raises JobError for one that no set has."""
+        refuse_other(quantity, {q.name: None for kind in self.kinds for q in QUANTITIES[kind]}, "quantity")
         squares: list[Array] = []
         group: list[IntArray] = []
         own = np.split(self.group, np.cumsum([len(r) for r in self.residuals])[:-1])
@@ -378,8 +383,6 @@ class CrossValidation:
                 if name == quantity:
                     squares.append(np.sum(r[:, columns] ** 2, axis=1))
                     group.append(g)
-        if not squares:
-            raise KeyError(quantity)
         return held_out(np.concatenate(squares), np.concatenate(group))
 
 

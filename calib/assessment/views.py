@@ -82,6 +82,7 @@ class Views:
         """The number of the tool that is to be accurate."""
         return int(self.photographed.tool[0])
 
+    @checked
     def rows(self, readings: Array) -> DesignRows:
         """Return what a photograph at each of N readings (N, nr) would bring."""
         data, count = self._at(readings)
@@ -95,6 +96,7 @@ class Views:
         found = [self._whitened(data, data, photograph_numbers(data), 1.0) for data in own]
         return DesignRows.without_misfit(np.concatenate(found))
 
+    @checked
     def working_rows(self, readings: Array) -> DesignRows:
         """Return the motions of the tool's position at N readings, in m, but for those of the whole arm on its base.
 
@@ -113,6 +115,7 @@ class Views:
         flat = J.reshape(len(whole), -1)
         return DesignRows.without_misfit((flat - basis @ (basis.T @ flat)).reshape(J.shape))
 
+    @checked
     def refused(self, readings: Array) -> dict[str, BoolArray]:
         """Return which of N readings give no photograph that is of use, by the reason."""
         data, count = self._at(readings)

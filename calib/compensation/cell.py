@@ -13,6 +13,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import PlacedIn
 from calib.foundations.errors import JobError
+from calib.foundations.sealing import sealed
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.model_file import load_machine
 from calib.machine.place import Place
@@ -24,6 +25,7 @@ from calib.robot.urdf import parse_urdf, read_urdf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class CalibratedCell:
     """A cell and where things are in it, all in the arm's base link. Made by :func:`calibrated_cell`.
 

@@ -8,12 +8,14 @@ import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
+from calib.foundations.sealing import sealed
 
 # Of a target there is one answer of these; the steps of all searches for it count.
 _ANSWERS = ("readings", "change", "reached", "position_error", "orientation_error")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Corrections:
     """Commands for N targets of a calibrated machine; every array is read-only and SI.
 

@@ -17,6 +17,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.choices import What
 from calib.foundations.errors import JobError, PoseError
 from calib.foundations.linear import one_thread, svd
+from calib.foundations.sealing import sealed
 from calib.foundations.units import DEG, MM, MRAD
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.residual_model import ResidualModel
@@ -76,6 +77,7 @@ _NOT_TRIED = f"was not looked for{_CUT_SHORT}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Asked:
     """What is asked of N rows: ``targets`` and ``tools`` (N, 4, 4), where to ``start`` (N, nr), why ``refused``."""
 

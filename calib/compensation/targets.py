@@ -17,6 +17,7 @@ from calib.foundations.brief import brief
 from calib.foundations.choices import PoseFrame, What
 from calib.foundations.csv_text import csv_cell, csv_text
 from calib.foundations.errors import MeasurementError
+from calib.foundations.sealing import sealed
 from calib.foundations.units import MM, MRAD, UNITS, Dimension, Unit
 from calib.foundations.words import not_calibrated
 from calib.machine.calibrated import CalibratedMachine
@@ -32,6 +33,7 @@ _OF_A_POSE = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Targets:
     """N targets of a table.
 
@@ -199,8 +201,12 @@ def corrected_csv(model: CalibratedMachine, wanted: Targets, found: Corrections)
     """Return the table with corrected joints, in the units of its header, and what is expected of every row.
 
     Joints that the table does not have come first, in deg and mm. New columns: ``remaining_error [mm]``, for poses
-    ``remaining_turn [mrad]``, ``reached`` (yes or no) and ``reason``. Joints of rows not reached are empty.
+    ``remaining_turn [mrad]``, ``reached`` (yes or no) and ``reason``. Joints of rows not reached are empty. Raises
+    MeasurementError for corrections of other rows, or of another arm.
     """
+    shape, there = (len(wanted.table), len(model.robot.readings)), found.readings.shape
+    if there != shape:
+        raise MeasurementError(f"the corrections are {there} readings; of {wanted.table.where} and this arm: {shape}.")
     table, joints = wanted.table, {reading.name: k for k, reading in enumerate(model.robot.readings)}
     own = {reading.name: UNITS["deg" if reading.dimension == "angle" else "mm"] for reading in model.robot.readings}
     needed = _needed(model, wanted.tools)

@@ -39,11 +39,18 @@ def checked(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Make a function raise JobError for an argument that is not of the kind that its annotation says."""
     signature = inspect.signature(function)
 
+    @functools.cache
+    def hints() -> dict[str, Any]:
+        try:  # when it is first called: names of classes that follow it are known then
+            return get_type_hints(function)
+        except NameError:  # of a module that type checkers alone load
+            return {name: parameter.annotation for name, parameter in signature.parameters.items()}
+
     @functools.wraps(function)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _R:
         given = signature.bind(*args, **kwargs)
         for name, value in given.arguments.items():
-            hint = signature.parameters[name].annotation
+            hint = hints().get(name, Any)
             if not _test(hint)(value):
                 raise _other(value, hint, f"{function.__name__}: {name}")
             given.arguments[name] = _owner(hint)(value)
@@ -101,16 +108,18 @@ def _fields(of: Any) -> tuple[tuple[str, Any, _Test, bool], ...]:
     """Return name and hint of every field of a dataclass, what tells whether a value fits, and whether arrays do."""
     hints = get_type_hints(of)
     return tuple(
-        (field.name, hints[field.name], _test(hints[field.name]), _takes_arrays(hints[field.name]))
+        (field.name, hints[field.name], _test(hints[field.name]), takes_arrays(hints[field.name]))
         for field in fields(of)
     )
 
 
-def _takes_arrays(hint: Any) -> bool:
+def takes_arrays(hint: Any) -> bool:
     """Tell whether a value of the kind of a hint may be, or hold, an array."""
+    if isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields"):
+        return any(map(takes_arrays, hint.__annotations__.values()))
     if hint in (Any, object) or _is_array_like(hint) or get_origin(hint) is np.ndarray:
         return True
-    return any(map(_takes_arrays, get_args(hint)))
+    return any(map(takes_arrays, get_args(hint)))
 
 
 def _other(value: object, hint: Any, where: str) -> JobError:
@@ -208,7 +217,7 @@ def _is_numbers(value: Any) -> bool:
     try:
         odd = value is None or is_masked(value) or _in_lists(_has_named_columns, value)
         return not odd and np.asarray(value).dtype.kind in _STANDS_FOR["f"]
-    except (TypeError, ValueError):  # lists of several lengths
+    except Exception:  # noqa: BLE001 - lists of several lengths, and whatever things of others raise, as tensors do
         return False
 
 

@@ -25,9 +25,11 @@ import numpy as np
 
 from calib.foundations import linear
 from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.sealing import sealed
 
 
 @dataclass(frozen=True, eq=False)
+@sealed
 class Split:
     """Which of p parameters are common (c,), and which make up the blocks (m, a): numbers, -1 where one has fewer."""
 
@@ -202,6 +204,7 @@ class Reduced(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+@sealed
 class Arrow:
     """Whitened rows ``[J r]`` of a split: ``heads`` (m, h, a + c + 1) and ``rest`` (q, c + 1)."""
 
@@ -347,6 +350,7 @@ def _solved(rows: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
+@sealed
 class Covariance:
     """The covariance (p, p) of all parameters by parts, of which any block of entries can be had.
 

@@ -14,6 +14,7 @@ import numpy as np
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.linear import ROUNDING, svd
+from calib.foundations.sealing import sealed
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem, evaluate
 
@@ -39,6 +40,7 @@ class Errors(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Earlier:
     """Errors of an earlier fit, as what is held of it has them, and as what is free follows: of ``parameters`` (p,).
 

@@ -14,6 +14,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, RobotError
 from calib.foundations.ranges import MOST_TERMS, refuse_beyond
+from calib.foundations.sealing import sealed
 from calib.foundations.selection import Selection, listed_names, named, select
 from calib.foundations.words import refuse_other
 from calib.identification.machine import POSE, Frames, Layout
@@ -44,6 +45,7 @@ _GROUPS = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Known:
     """What is known beside the robot itself.
 
@@ -72,6 +74,7 @@ NO_PRIORS = Priors()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class ErrorModel:
     """What is unknown about a robot and its set-up. Made by :func:`error_model`.
 
@@ -99,6 +102,7 @@ class ErrorModel:
     terms: tuple[str, ...] = ()
     setups: Mapping[str, SetUp] = field(default_factory=dict)
 
+    @checked
     def within(self, sets: Sequence[Measurements]) -> "ErrorModel":
         """Return the model without what is known of targets and set-ups that no row of the sets is about."""
         there = {name for data in sets for name in data.seen_targets}
@@ -115,10 +119,12 @@ class ErrorModel:
         """The robot in the frames of its URDF, as :func:`calib.load_robot` made it."""
         return self.robot if self.dh is None else self.dh.source
 
+    @checked
     def urdf_deviations(self, deviations: Deviations) -> Deviations:
         """Return the deviations of ``urdf_robot`` that make the same machine as ``deviations`` make of ``robot``."""
         return deviations if self.dh is None else self.dh.in_source(deviations)
 
+    @checked
     def at(self, setup: str) -> "ErrorModel":
         """Return the model of one set-up, as if there were no other."""
         known = self.known_base(setup)
@@ -126,6 +132,7 @@ class ErrorModel:
             return replace(self, base="pose", setups={})
         return replace(self, base="fixed" if known.fixed else "pose", base_pose=known.pose, setups={})
 
+    @checked
     def known_base(self, setup: str) -> SetUp | None:
         """Return what is known of the base in a set-up, None where it is to be found."""
         if setup in self.setups or self.base == "pose":
@@ -191,13 +198,13 @@ class ErrorModel:
             elif self.dh is not None:
                 yield self.dh.directions[joint, component]
 
+    @checked
     def given_frames(self, tools: Sequence[str], setups: Sequence[str] = (ONLY_SETUP,)) -> Frames:
         """Return the frames as given: known where fixed, zero or the user's start value where free."""
         known = [self.known_base(setup) for setup in setups]
-        return Frames(
-            np.stack([self.base_pose if setup is None else setup.pose for setup in known]),
-            np.stack([self.tool_poses.get(tool, np.eye(4)) for tool in tools]),
-        )
+        bases = [self.base_pose if setup is None else setup.pose for setup in known]
+        own = [self.tool_poses.get(tool, np.eye(4)) for tool in tools]
+        return Frames(np.array(bases).reshape(-1, 4, 4), np.array(own).reshape(-1, 4, 4))
 
 
 @checked

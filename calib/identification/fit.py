@@ -11,7 +11,9 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import JobError
 from calib.foundations.linear import ROUNDING, svd
+from calib.foundations.sealing import sealed
 from calib.foundations.showing import shower
+from calib.foundations.words import listed, near, noun, shown
 from calib.identification.arrow import Covariance
 from calib.identification.earlier import Earlier, Errors
 from calib.identification.error_model import ErrorModel
@@ -35,6 +37,7 @@ NullSpacePolicy = Literal["nearest", "minimal", "refuse"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
+@sealed
 class Fit:
     """Identified parameters and what is known about them. Made by :func:`calib.identify`; printed as a table.
 
@@ -198,6 +201,7 @@ class Fit:
         moved = self._beside_noise[parameters]
         return np.asarray(self.spread.of(parameters) + moved @ moved.T)
 
+    @checked
     def errors_of(self, names: Sequence[str]) -> Errors:
         """Return the errors of parameters that are free here or held from earlier; zeros of those that are neither."""
         number = {parameter.name: k for k, parameter in enumerate(self.parameters)}
@@ -214,6 +218,7 @@ class Fit:
         found = Errors(noise, self.along_null_space.factor, null_basis).of([number.get(name, -1) for name in names])
         return found if self.earlier is None else found.beside(self.earlier.of(names))
 
+    @checked
     def tools_of(self, data: Measurements) -> Array:
         """Return the poses (N, 4, 4) of the tools of rows in the tip link: the tip's own where one is not known.
 
@@ -221,17 +226,20 @@ class Fit:
         """
         return data.placed_by(_by_name(self.measurements[0].tools, self.machine.frames.tools, data.tools, np.eye(4)))
 
+    @checked
     def bases_of(self, data: Measurements) -> Array:
         """Return the poses (N, 4, 4) of the base in the set-ups of rows: the first one where one is not known."""
         bases = self.machine.frames.bases
         return _by_name(self.measurements[0].setups, bases, data.setups, bases[0])[data.setup]
 
+    @checked
     def places_of(self, data: Measurements) -> Array:
         """Return the measured points (N, 3) as the first set-up would see them: those of set-ups have no one frame."""
         assert data.position is not None, "positions and poses have one"
         moved = self.machine.frames.bases[0] @ rigid.inverse(self.bases_of(data))
         return np.asarray((moved[:, :3, :3] @ data.position[:, :, None])[..., 0] + moved[:, :3, 3])
 
+    @checked
     def tips_before_targets(self, data: Measurements) -> Array:
         """Return the tips (N, 4, 4) of rows in the frame in which their targets are told: a link's, where one is."""
         tips = self.bases_of(data) @ data.tips(self.robot, self.deviations)
@@ -247,6 +255,7 @@ class Fit:
         tips = {data.tools[k]: data.tip for data in self.measurements for k in np.unique(data.tool)}
         return {tool: tip for tool, tip in tips.items() if tip not in ("", self.robot.tip)}
 
+    @checked
     def knows(self, data: Measurements) -> bool:
         """Return whether the rows are of tools and set-ups that the fit knows."""
         own = self.measurements[0]
@@ -254,11 +263,14 @@ class Fit:
 
     @checked
     def value(self, name: str) -> float:
-        """Return the value of a parameter in SI units. Raises KeyError for an unknown name."""
-        for parameter, value in zip(self.parameters, self.values, strict=True):
-            if parameter.name == name:
-                return float(value)
-        raise KeyError(name)
+        """Return the value of a parameter in SI units. Raises JobError for a name that no parameter of the fit has."""
+        names = [parameter.name for parameter in self.parameters]
+        if name not in names:
+            like = near(name, names) or names
+            raise JobError(
+                f"the fit has no parameter {shown(name)}; there {noun(len(like), 'is', 'are')} {listed(like)}."
+            )
+        return float(self.values[names.index(name)])
 
     def records(self) -> list[dict[str, object]]:
         """Return a plain record for every parameter: name, value, unit, sigma (None where not identifiable), flags."""

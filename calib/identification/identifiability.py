@@ -18,6 +18,7 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.linear import svd, triangle
+from calib.foundations.sealing import sealed
 from calib.foundations.units import MM, MRAD
 from calib.identification.arrow import Arrow, Inverse, Reduced, Split
 from calib.identification.parameters import Parameter
@@ -39,6 +40,7 @@ _MOST_NAMED = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Directions:
     """Directions in scaled space, best known first: columns of ``vectors`` (c, c), with values ``of_common`` (c,).
 

@@ -14,6 +14,7 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import RobotError
+from calib.foundations.sealing import sealed
 from calib.identification.parameters import Entries, Parameter
 from calib.robot.deviation import Motions
 from calib.robot.robot import Deviations, Robot
@@ -22,6 +23,7 @@ POSE = ("x", "y", "z", "rx", "ry", "rz")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Frames:
     """Base poses (b, 4, 4) in the instrument's frame, one for every set-up, and tool poses (k, 4, 4) in the tip link.
 
@@ -42,6 +44,7 @@ class Frames:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Machine:
     """A machine: the robot's deviations, and where its base, its tools and the targets are.
 

@@ -26,6 +26,7 @@ import scipy
 
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
+from calib.foundations.sealing import sealed
 from calib.identification.arrow import Covariance
 from calib.identification.parameters import scales
 from calib.identification.repeats import MOST_ROWS, Repeats, beyond_alone, repeated
@@ -46,6 +47,7 @@ _NONE = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Memory:
     """How one quantity of one set errs in time: shares ``weights`` (k,) of the variance that last ``times`` (k,) in s.
 

@@ -21,6 +21,7 @@ from calib.foundations.arrays import Array, IntArray, number_in_kind, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import PoseError
 from calib.foundations.linear import ROUNDING, one_thread, svd, triangle
+from calib.foundations.sealing import sealed
 from calib.identification.arrow import Arrow, Inverse
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.parameters import Parameter, scales
@@ -46,6 +47,7 @@ _ENOUGH_TO_NOTICE, _ENOUGH_TO_STEP = 500, 2000
 
 
 @dataclass(frozen=True, eq=False)
+@sealed
 class AlongNullSpace:
     """What ``values`` (p,) in SI units may be off by along ``null_basis`` (p, k), scaled; found when asked for.
 

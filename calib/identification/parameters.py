@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from calib.foundations.arguments import own_fields
+from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
@@ -71,6 +71,7 @@ class Priors:
                     raise JobError(f"{what}: {value!r} is not a positive number; leave it out for no prior.")
                 refuse_beyond(value, key, what)
 
+    @checked
     def of_term(self, term: JointTerm, dimension: Dimension) -> Prior | None:
         """Return the prior of the coefficient of a term, for a reading of this dimension."""
         name = kind_of(term).priors.get(dimension)

@@ -11,9 +11,11 @@ from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond, refuse_no_placement
+from calib.foundations.sealing import sealed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class SetUp:
     """What is known of where the robot's base stood: its ``pose`` (4, 4), in m, in the instrument's frame.
 

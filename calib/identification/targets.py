@@ -14,6 +14,7 @@ from calib.foundations.arrays import Array
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.ranges import refuse_no_placement
+from calib.foundations.sealing import sealed
 from calib.identification.machine import POSE, Layout
 from calib.identification.parameters import Parameter, width
 from calib.measurement.kinds import Kind
@@ -39,6 +40,7 @@ _UNKNOWN: Mapping[Shape, tuple[tuple[str, int], ...]] = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Target:
     """What is known of a target, in the instrument's frame.
 

@@ -23,6 +23,7 @@ import scipy
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.linear import svd, triangle
+from calib.foundations.sealing import sealed
 from calib.identification.arrow import Arrow, Collected, Heads, Inverse, Part, Split, gathered
 
 # That much likelier by chance: not once in as many fits as anybody makes.
@@ -41,6 +42,7 @@ FEWEST = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Together:
     """How the rows of one set err together, photograph by photograph.
 

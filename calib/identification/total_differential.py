@@ -20,6 +20,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
+from calib.foundations.sealing import sealed
 from calib.foundations.units import UNITS
 from calib.identification import system
 from calib.identification.error_model import ErrorModel
@@ -39,6 +40,7 @@ _INSTEAD = 'identify (in a job, solver.kind = "least_squares")'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Iteration:
     """One estimate: ``values`` (p,) in SI units, and the position error (N,) in m of every row under it."""
 

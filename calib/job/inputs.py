@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from calib.foundations.errors import JobError
 from calib.foundations.files import name_as_text, read_bytes, sha256, stamp
+from calib.foundations.sealing import sealed
 from calib.identification.error_model import ErrorModel
 from calib.identification.losses import Loss
 from calib.job import refusals, tables
@@ -25,6 +26,7 @@ STEPS_OF_LOADING = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Inputs:
     """Everything a job names, read and checked.
 

@@ -15,6 +15,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.files import sentences
+from calib.foundations.sealing import sealed
 from calib.foundations.units import MM, NUMBER
 from calib.foundations.words import listed, noun, shown
 from calib.job.chains import chains, whole_chains
@@ -86,6 +87,7 @@ class Photograph(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Imported:
     """Photographs of one size (w, h) with readings: ``titles`` and ``readings`` by name. ``remarks``: how these came.
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from calib.foundations.arguments import checked
 from calib.foundations.brief import brief
 from calib.foundations.words import first_of
 from calib.job.toml_text import seen_from, toml_text
@@ -32,6 +33,7 @@ class Question:
         how = " or ".join(first_of([f"{self.option} {choice}" for choice in self.choices], more="one of {} more"))
         return f"{self.text}; answer by {how or self.option}."
 
+    @checked
     def answered(self, choice: str) -> dict[str, Any]:
         """Return one of the choices as an argument of :func:`calib.measuring.propose`."""
         plain = choice.strip("'")
@@ -79,6 +81,7 @@ class Proposal:
     reasons: tuple[str, ...]
     questions: tuple[Question, ...]
 
+    @checked
     def job(self, folder: Path | None = None) -> str:
         """Return the job file, with paths relative to the ``folder`` in which it will be; None: as they were given."""
         robot = self.robot

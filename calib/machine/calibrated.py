@@ -10,6 +10,7 @@ from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, IntArray, read_only
 from calib.foundations.errors import MeasurementError, RobotError
 from calib.foundations.ranges import are_numbers, refuse_no_placement
+from calib.foundations.sealing import sealed
 from calib.foundations.words import listed, not_calibrated
 from calib.identification.machine import Frames, Layout, Machine
 from calib.machine.place import Placed
@@ -25,6 +26,7 @@ from calib.robot.terms import kind_of
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
+@sealed
 class CalibratedMachine:
     """A calibrated machine. Made by :func:`machine_of` from a fit, or read by :func:`calib.load_machine`.
 
@@ -130,6 +132,7 @@ class CalibratedMachine:
         """Whether what its joint terms do may differ from set-up to set-up, by gravity or payload."""
         return bool(self.robot.terms and self.robot.loads and len(self.bases) > 1)
 
+    @checked
     def standing(self, setup: str | None, where: str) -> "CalibratedMachine":
         """Return the same as :meth:`at`, for what depends on the set-up: which one is not guessed.
 
@@ -188,6 +191,7 @@ class CalibratedMachine:
         (r,) = residuals(self.robot, [data], self.state)
         return self.less_shifts(r, data)
 
+    @checked
     def less_shifts(self, residuals: Array, data: Measurements) -> Array:
         """Return residuals (N, 3 or 6) of positions or poses less what the residual model adds to the prediction."""
         if self.residual_model is None:
@@ -202,6 +206,7 @@ class CalibratedMachine:
                 found[rows, :3] -= self.residual_model.shifts(self.bases[name], tips[rows], data.readings[rows])
         return found
 
+    @checked
     def with_own_names(self, data: Measurements) -> Measurements:
         """Return the data with tools and set-ups numbered as the machine's, under the loads of these set-ups.
 

@@ -20,6 +20,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
+from calib.foundations.sealing import sealed
 from calib.foundations.units import MM
 from calib.machine.grid import (
     Frame,
@@ -87,6 +88,7 @@ class Kernel(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class GaussianResiduals:
     """A Gaussian process of error vectors over some joints. Made by :func:`gaussian_from_residuals`.
 

@@ -18,6 +18,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError, OutputError
 from calib.foundations.files import read_bytes
+from calib.foundations.sealing import sealed
 from calib.foundations.units import DISPLAY_OF
 from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
 from calib.machine.run import refuse_other_run
@@ -54,6 +55,7 @@ class Leaning(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class SectorGrid:
     """Error vectors at the nodes of a regular grid over some joints. Made by :func:`grid_from_residuals`.
 

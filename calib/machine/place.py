@@ -10,6 +10,7 @@ from calib.foundations.brief import brief
 from calib.foundations.chance import bound
 from calib.foundations.choices import PlacedIn
 from calib.foundations.linear import svd
+from calib.foundations.sealing import sealed
 from calib.foundations.units import MM
 
 # Sine of an angle between two motions below which one cannot be told from the other.
@@ -20,6 +21,7 @@ _AXES = "xyz"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Place:
     """How sure a place is: of twists (v, w) at its origin, in the axes of the frame it is told in, in m and rad.
 

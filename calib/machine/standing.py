@@ -18,6 +18,7 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.linear import spread, svd
+from calib.foundations.sealing import sealed
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.place import SAME, Place
 from calib.machine.tool_uncertainty import link_errors
@@ -38,6 +39,7 @@ _LEAST_ARM = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Moved:
     """What errors do to a body at N of its points: ``points`` (N, 3), ``errors`` (N, d, r), ``unseen`` (N, d, k).
 

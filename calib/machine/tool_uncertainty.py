@@ -16,7 +16,9 @@ import numpy.typing as npt
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.errors import JobError
 from calib.foundations.linear import one_thread, triangle
+from calib.foundations.ranges import finite
 from calib.machine.calibrated import CalibratedMachine, readings_of, refuse_unfollowed
 from calib.machine.grid import axes_of
 from calib.machine.identified import usual_conditions
@@ -360,8 +362,11 @@ def uncertainty_map(
     Joints without limits turn once. Where joint terms follow a temperature it is the middle of those that were
     measured. ``closure_determinant``: how near loops may come to a dead centre, as
     :class:`Uncertainty` has it; all poses in which they close when None. ``progress`` is told how many of how many are
-    done.
+    done. Raises JobError for numbers out of range.
     """
+    if closure_determinant is not None:
+        said = f"closure_determinant is {closure_determinant}; needs a finite number."
+        finite(closure_determinant, (), said, JobError)
     readings = random_readings(
         machine.robot, samples, limits, (machine.deviations, None), determinant=closure_determinant, seed=seed
     )

@@ -14,6 +14,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError, naming_rows
 from calib.foundations.ranges import refuse_beyond, refuse_shape
+from calib.foundations.sealing import sealed
 from calib.foundations.units import UNITS, Dimension
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.checks import Finding, table_findings
@@ -32,6 +33,7 @@ _OF_READINGS = ("beyond-limits", "degrees-as-radians", "radians-as-degrees")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class TouchingArm:
     """A calibrated arm that touches. ``point`` (3,): its tool point on its tip link; ``sigma``: of a coordinate, in m.
 

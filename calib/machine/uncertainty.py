@@ -6,8 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound
+from calib.foundations.sealing import sealed
 from calib.foundations.units import MM
 from calib.robot.terms import JointTerm
 
@@ -95,6 +97,7 @@ class OwnNoise(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Uncertainty:
     """How sure a calibrated machine is of itself; kept in the results' folder as ``uncertainty.json``.
 
@@ -122,6 +125,7 @@ class Uncertainty:
     own_noise: tuple[OwnNoise, ...] = ()
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
+    @checked
     def noise(self, setup: str, tool: str) -> tuple[NoiseLevel | None, NoiseLevel | None]:
         """Return the noise of lengths and of angles in a set-up with a tool.
 
@@ -145,6 +149,7 @@ class Uncertainty:
         """Degrees of freedom of the covariance: the fewest of what it was estimated from."""
         return _fewest((self.position, self.orientation))
 
+    @checked
     def freedom(self, setup: str, tool: str) -> float:
         """Return the degrees of freedom of the covariance in a set-up with a tool, whose noise may be of few rows."""
         return min(self.degrees_of_freedom, _fewest(self.noise(setup, tool)))
@@ -175,6 +180,7 @@ class _Known:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class ToolUncertainty(_Known):
     """How sure the tool's pose is at N configurations.
 
@@ -200,6 +206,7 @@ class ToolUncertainty(_Known):
         """Standard deviations (N,) of the orientation, all three turns together, in rad."""
         return _root_trace(self.covariance[:, 3:, 3:])
 
+    @checked
     def inside(self, errors: Array, probability: float = 0.95) -> BoolArray:
         """Return which position errors (N, 3) are inside the region (an ellipsoid) of the given probability.
 
@@ -216,6 +223,7 @@ class ToolUncertainty(_Known):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class UncertaintyMap(_Known):
     """Standard deviations over the workspace, at N random configurations.
 

@@ -19,6 +19,7 @@ from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
 from calib.foundations.linear import svd
 from calib.foundations.ranges import refuse_beyond, refuse_shape
+from calib.foundations.sealing import sealed
 from calib.foundations.words import refuse_other
 
 BoardShape = Literal["flat", "quadratic", "free"]
@@ -36,6 +37,7 @@ _LEAST_MARKS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Board:
     """A board, or several of one print, and what of it is unknown.
 
@@ -72,6 +74,7 @@ class Board:
         count = self.modes.shape[2]
         return (*_QUADRATIC[:count], *(f"shape_{k + 1}" for k in range(len(_QUADRATIC), count)))
 
+    @checked
     def same_as(self, other: "Board | None") -> bool:
         """Return whether another board is this one."""
         return other is not None and (

@@ -11,6 +11,7 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only, rows_by_word
 from calib.foundations.errors import MeasurementError
+from calib.foundations.sealing import sealed
 from calib.foundations.units import Dimension
 from calib.measurement.columns import orientations, refuse_others, stacked, words
 from calib.measurement.table import QUATERNION_COLUMNS, Table, read_table
@@ -24,6 +25,7 @@ _MOST_POSES, _MOST_WAYS = 100, 500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Cycles:
     """N attained poses. Made by :func:`cycles` and :func:`read_cycles`.
 

@@ -10,6 +10,8 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
+from calib.foundations.ranges import refuse_shape
+from calib.foundations.sealing import sealed
 from calib.foundations.words import counted, listed
 from calib.measurement.boards import Board
 from calib.measurement.instruments import Camera
@@ -25,6 +27,7 @@ ONLY_TOOL, ONLY_SETUP = "tool", "base"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class End:
     """One end of every row; some kinds have two. ``readings`` (N, k), ``tool`` (N) and ``conditions`` there.
 
@@ -42,6 +45,7 @@ class End:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Measurements:
     """N measured rows of one robot; every array is read-only and SI.
 
@@ -116,6 +120,7 @@ class Measurements:
         rows = f"{counted(len(self), 'row')} of {self.kind} at {counted(len(self.reading_names), 'joint')}"
         return f"<Measurements {self.where}: {rows}; {'; '.join(said)}; sigma {known}>"
 
+    @checked
     def shifts(self, scalars: Array) -> dict[str, float]:
         """Return what the scalars (s,) make of the clock of a stream."""
         return {role: float(scalars[self.uses[role]]) for role in SHIFTS if role in self.uses}
@@ -128,12 +133,14 @@ class Measurements:
         offset, skew = (self.scalars[self.uses[role]] for role in (OFFSET, SKEW))
         return OneClock(self.stream.middle, offset, skew, self.where)
 
+    @checked
     def readings_at(self, scalars: Array, rows: slice = slice(None)) -> Array:
         """Return the readings (n, k) of rows where scalars (s,) have these values: those of a stream follow them."""
         if self.stream is None:
             return self.readings[rows]
         return self.stream.readings(self.shifts(scalars), rows)
 
+    @checked
     def conditions_at(self, scalars: Array, rows: slice = slice(None), *, moving: bool = True) -> Conditions:
         """Return the conditions of rows where scalars (s,) have these values; ``moving``: with how the joints moved."""
         told = self.conditions.subset(rows)
@@ -141,6 +148,7 @@ class Measurements:
             return told
         return replace(told, motion=self.stream.motion(self.shifts(scalars), rows))
 
+    @checked
     def at_clock(self, scalars: Array) -> "Measurements":
         """Return the rows with the readings that they have where scalars (s,) have these values."""
         if self.stream is None:
@@ -169,6 +177,7 @@ class Measurements:
             own = self.loaded(robot).conditions
             return robot.with_tip(self.tip or robot.tip).tips(self.readings, deviations, own)
 
+    @checked
     def carrying(self, robot: Robot, payload: Payload) -> "Measurements":
         """Return the rows as measured with a payload: on the link that it names, else on the one with the tools.
 
@@ -187,6 +196,7 @@ class Measurements:
         every = np.tile(moments, (len(self), 1, 1))
         return self._told(lambda told: replace(told, payload=_where_unsaid(told.payload, every)))
 
+    @checked
     def loaded(self, robot: Robot) -> "Measurements":
         """Return the rows under gravity and payload of their set-ups, where nothing else is told of them."""
         if not robot.loads:
@@ -211,11 +221,17 @@ class Measurements:
             other=None if other is None else replace(other, conditions=more(other.conditions)),
         )
 
+    @checked
     def placed_by(self, tools: Array) -> Array:
-        """Return the placements (N, 4, 4) of the rows' points in the link that carries them, by its tools (k, 4, 4)."""
+        """Return the placements (N, 4, 4) of the rows' points in the link that carries them, by its tools (k, 4, 4).
+
+        Raises MeasurementError for tools of another shape.
+        """
+        refuse_shape(tools, (len(self.tools), 4, 4), f"{self.where}: tools", MeasurementError)
         placed = tools[self.tool]
         return placed if self.points is None else np.asarray(placed @ rigid.translation(self.points))
 
+    @checked
     def link_of(self, target: int) -> str | None:
         """Return the link that carries a target, by its number; None where it stands on the floor.
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
+from calib.foundations.sealing import sealed
 from calib.foundations.units import UNITS, symbol_of
 from calib.foundations.words import shown
 from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
@@ -26,6 +27,7 @@ _BRACKETED = re.compile(r"\[\s*[^\W\d][^\[\]]*\]$")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class RawColumn:
     """One column: its ``title`` as the file has it, ``name`` without the unit, the unit's ``symbol``, or None.
 

@@ -23,6 +23,7 @@ from calib.foundations.csv_text import without_marks
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.ranges import OF_DIMENSION, SMALLEST_CELL
+from calib.foundations.sealing import sealed
 from calib.foundations.units import NUMBER, UNITS, Unit, symbol_of
 from calib.foundations.words import near, shortened, shown
 from calib.measurement.cells import Line, cells, in_bytes, lines, refuse_ragged
@@ -56,6 +57,7 @@ _IN_BRACKETS = re.compile(r"\[([^\[\]]*)\]")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Column:
     """A named column: N numbers in SI (read-only float64), or N words where ``unit`` is None.
 
@@ -68,6 +70,7 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Table:
     """Columns of N rows by name, in the order of the table.
 

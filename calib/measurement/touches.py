@@ -9,6 +9,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
+from calib.foundations.sealing import sealed
 from calib.foundations.units import Dimension
 from calib.foundations.words import listed
 from calib.measurement.columns import numbers, refuse_others, stacked
@@ -38,6 +39,7 @@ _PASSED_OVER = frozenset({"time", "temperature", "sigma_tau", "tool", "setup", "
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Touches:
     """N touches of one test. Made by :func:`touches` and :func:`read_touches`.
 

@@ -23,6 +23,7 @@ from calib.foundations.chance import shown_noise
 from calib.foundations.errors import IdentificationError, MeasurementError
 from calib.foundations.linear import svd
 from calib.foundations.ranges import finite, refuse_beyond, refuse_sigma
+from calib.foundations.sealing import sealed
 from calib.measurement.measurements import Measurements
 
 _MOST_STEPS = 100
@@ -36,6 +37,7 @@ _NO_READINGS = "the readings of an axis must be finite numbers, in rad or m."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class RevoluteAxis:
     """Axis of a revolute joint from circles. Made by :func:`circle_axis`.
 
@@ -86,6 +88,7 @@ class RevoluteAxis:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class PrismaticAxis:
     """Axis of a prismatic joint from lines. Made by :func:`line_axis`.
 
@@ -215,11 +218,12 @@ def expected_circle_error(radius: float, angles: npt.ArrayLike, sigma: float) ->
     """Return the expected error (rms, rad) of a circle's axis direction, to first order.
 
     From points at ``angles`` (N,) rad on a circle of ``radius`` m, touched with ``sigma`` m per coordinate: the normal
-    of the plane through them. Infinite where they do not determine one.
+    of the plane through them. Infinite where they do not determine one, as on one of radius 0. Raises JobError for a
+    radius or a sigma out of range.
     """
     a = _row(angles)
     refuse_sigma(sigma, "sigma")
-    refuse_beyond(radius, "position, station, point", "radius")
+    refuse_beyond(radius, "relations.distance", "radius")
     X = np.stack([np.ones_like(a), radius * np.cos(a), radius * np.sin(a)], axis=-1)
     values = np.linalg.svd(X / np.array([1.0, max(radius, 1e-12), max(radius, 1e-12)]), compute_uv=False)
     if len(a) < 3 or not values[2] > _RANK * values[0] or radius <= 0.0:

@@ -4,6 +4,7 @@ Source: a patent of the South China University of Technology on two-axis positio
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,8 @@ from calib.foundations.arguments import checked, told
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import IdentificationError, JobError, MeasurementError
-from calib.foundations.ranges import finite, refuse_sigma
+from calib.foundations.ranges import finite, refuse_no_placement, refuse_sigma
+from calib.foundations.sealing import sealed
 from calib.foundations.units import DEG, MM
 from calib.measurement.checks import Finding
 from calib.measurement.columns import stacked
@@ -57,7 +59,17 @@ _SIGMAS = 6.0
 _NO_POINTS = "the points on a table must be finite numbers (..., 3), in m."
 
 
+@contextmanager
+def _going_together() -> Iterator[None]:
+    """Let a ValueError of NumPy about shapes in the block be a sentence."""
+    try:
+        yield
+    except ValueError as e:
+        raise MeasurementError("tilt, rotary and zero have shapes that do not go together.") from e
+
+
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class FivePoint:
     """A two-axis positioner from five points. Made by :func:`five_point`.
 
@@ -78,25 +90,36 @@ class FivePoint:
     def motion(self, tilt: npt.ArrayLike, rotary: npt.ArrayLike) -> Array:
         """Return what the axes do, at readings (...) in rad, to whatever lies on the table at zero: (..., 4, 4).
 
-        B_P Rz(tilt) inv(B_P) B_R Rz(rotary) inv(B_R).
+        B_P Rz(tilt) inv(B_P) B_R Rz(rotary) inv(B_R). Raises MeasurementError for readings that are not finite, or of
+        shapes that do not go together.
         """
-        return np.asarray(
-            self.B_P @ _about_z(tilt) @ rigid.inverse(self.B_P) @ self.B_R @ _about_z(rotary) @ rigid.inverse(self.B_R)
-        )
+        with _going_together():
+            tilted = self.B_P @ _about_z(tilt) @ rigid.inverse(self.B_P)
+            return np.asarray(tilted @ self.B_R @ _about_z(rotary) @ rigid.inverse(self.B_R))
 
     @checked
     def points(self, zero: npt.ArrayLike, tilt: npt.ArrayLike, rotary: npt.ArrayLike) -> Array:
-        """Return where table points are at readings (...), in the robot's base, as ``zero`` (..., 3) at zero."""
+        """Return where table points are at readings (...), in the robot's base, as ``zero`` (..., 3) at zero.
+
+        Raises MeasurementError as :meth:`motion` does.
+        """
         T = self.motion(tilt, rotary)
         x = finite(zero, None, _NO_POINTS)
         if x.shape[-1:] != (3,):
             raise MeasurementError(_NO_POINTS)
-        return np.asarray((T[..., :3, :3] @ x[..., None])[..., 0] + T[..., :3, 3])
+        with _going_together():
+            return np.asarray((T[..., :3, :3] @ x[..., None])[..., 0] + T[..., :3, 3])
 
     @checked
     def frames(self, tilt: npt.ArrayLike, rotary: npt.ArrayLike, zero: npt.ArrayLike | None = None) -> Array:
-        """Return where a table frame, W unless it is given as it is at ``zero`` (4, 4), is at readings (...)."""
-        T = self.B_R if zero is None else finite(zero, (4, 4), "zero: needs a placement (4, 4) of finite numbers.")
+        """Return where a table frame, W unless it is given as it is at ``zero`` (4, 4), is at readings (...).
+
+        Raises MeasurementError as :meth:`motion` does, and for a ``zero`` that is no placement.
+        """
+        T = self.B_R
+        if zero is not None:
+            T = finite(zero, None, "zero: needs a placement (4, 4) of finite numbers.")
+            refuse_no_placement(T, "zero", MeasurementError)
         return np.asarray(self.motion(tilt, rotary) @ T)
 
     def contents(self) -> dict[str, Any]:

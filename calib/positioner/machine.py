@@ -12,6 +12,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.ranges import are_numbers
+from calib.foundations.sealing import sealed
 from calib.foundations.xml_text import quoted
 from calib.identification.error_model import ErrorModel, error_model
 from calib.identification.fit import Fit
@@ -82,6 +83,7 @@ def axes_model(robot: Robot) -> ErrorModel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class TableError:
     """Expected errors of predicted table points, to first order. Made by :func:`table_error`.
 

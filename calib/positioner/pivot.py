@@ -22,6 +22,7 @@ from calib.foundations.chance import shown_noise
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import svd
 from calib.foundations.ranges import finite, refuse_sigma
+from calib.foundations.sealing import sealed
 from calib.foundations.units import MM
 
 # A direction of p in which the link turns by less than this (rms, rad) is not determined: readings scatter by as much.
@@ -29,6 +30,7 @@ _SEEN = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Pivot:
     """A tool point found by pivoting. Made by :func:`pivot`. Lengths in m.
 

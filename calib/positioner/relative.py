@@ -19,6 +19,7 @@ from calib.foundations.brief import brief
 from calib.foundations.chance import shown_noise
 from calib.foundations.errors import IdentificationError, MeasurementError
 from calib.foundations.ranges import are_numbers, finite, refuse_sigma
+from calib.foundations.sealing import sealed
 
 # Points on a line leave a turn about it open; a width below this share of their length is rounding.
 _LINE = 1e-7
@@ -27,6 +28,7 @@ _APART = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class RelativeBase:
     """Base b in base a. Made by :func:`relative_base`. ``T_a_b`` (4, 4).
 

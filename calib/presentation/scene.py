@@ -17,6 +17,7 @@ import numpy as np
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, translation
+from calib.foundations.sealing import sealed
 from calib.foundations.units import MM
 from calib.foundations.words import counted
 from calib.presentation import viewer
@@ -60,6 +61,7 @@ MarkKind = Literal["point", "ball", "socket", "plane", "axis", "camera"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Mark:
     """Something beside the arm, at ``T`` (4, 4) in the world.
 
@@ -81,6 +83,7 @@ class Mark:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Scene:
     """What a scene shows. All points are in the world (instrument) frame, in m.
 

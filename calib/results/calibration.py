@@ -21,6 +21,7 @@ from calib.assessment.trust import remarks, verdict, with_cause
 from calib.foundations.arguments import checked
 from calib.foundations.brief import brief
 from calib.foundations.errors import MeasurementError
+from calib.foundations.sealing import sealed
 from calib.foundations.units import DISPLAY, MM
 from calib.foundations.version import __version__
 from calib.identification.fit import Fit
@@ -106,6 +107,7 @@ _LIBRARIES = ("pin", "numpy", "scipy", "meshcat", "trimesh")
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
+@sealed
 class Calibration:
     """A judged calibration. Made by :func:`assess`.
 
@@ -149,6 +151,7 @@ class Calibration:
         """The metrics of the verdict, by when and quantity: of the held-out data, else of the data to identify from."""
         return self.metrics["validation" if "validation" in self.metrics else "identification"]
 
+    @checked
     def accepting(self, names: Collection[Accepted]) -> "Calibration":
         """Return the calibration with some checks of the verdict accepted by the user, so that they count as passed."""
         if not names:
@@ -160,6 +163,7 @@ class Calibration:
         doubts = tuple(doubt for doubt in self.doubts if doubt not in gone)
         return replace(self, doubts=doubts, checks=tuple(new for _, new in now))
 
+    @checked
     def blaming(self, blame: Blame | None) -> "Calibration":
         """Return the calibration with what photographs held out say of causes, which may contradict a given lens."""
         if blame is None or not blame.lens_is_wrong:

@@ -111,6 +111,7 @@ class SelfCollision:
 
         Raises RobotError when that takes more than ``effort``, one of as many poses when None.
         """
+        readings = self.robot.own(readings)
         effort = effort or Effort(self.robot, len(readings))
         found = np.zeros(len(readings), dtype=bool)
         for start in range(0, len(readings), _BLOCK):
@@ -125,6 +126,7 @@ class SelfCollision:
     @checked
     def without_lasting(self, readings: Array) -> "SelfCollision":
         """Return the same without pairs of bodies that touch at all of the readings (N, nr), said in the notes."""
+        readings = self.robot.own(readings)
         poses = _Poses(self.robot, self.shapes, readings, Effort(self.robot, len(readings)))
         rows = np.arange(len(readings))
         lasting = [pair for pair in self.pairs if bool(np.all(poses.touching(*self._of(pair), rows)))]

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from calib.foundations.arguments import own_fields
+from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import OF_DIMENSION
+from calib.foundations.sealing import sealed
 from calib.foundations.units import Dimension
 from calib.robot.warming import lagged
 
@@ -20,6 +21,7 @@ REFERENCE_TEMPERATURE = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Conditions:
     """Conditions of N rows; None where nobody says, and NaN for a reading of which nobody does.
 
@@ -53,6 +55,7 @@ class Conditions:
         """What bears on the robot beside its own links: payloads, gravity, and how the joints moved."""
         return self.payload, self.gravity, self.motion
 
+    @checked
     def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
         """Return the conditions of some rows; these are no longer ordered."""
         found: dict[str, Any] = {name: values[rows] for name, values in self.told().items()}
@@ -62,6 +65,7 @@ class Conditions:
         """Return what is known of the rows, by name."""
         return {name: values for name, values in zip(_NAMES, _every(self), strict=True) if values is not None}
 
+    @checked
     def refuse_other_rows(self, rows: int, readings: int) -> None:
         """Raise RobotError where these are not the conditions of so many rows, of so many readings each.
 
@@ -77,6 +81,7 @@ class Conditions:
                 row = int(np.argwhere(beyond)[0][0])
                 raise RobotError(f"conditions: {name} of row {row} is {values[beyond][0]:g}; allowed is {allowed}.")
 
+    @checked
     def in_time(self, times: Array) -> "Conditions":
         """Return the conditions of rows whose temperatures were told at times (N,) in s, for terms with memory.
 

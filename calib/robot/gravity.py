@@ -20,6 +20,7 @@ from calib.foundations.arguments import own_fields
 from calib.foundations.arrays import Array, BoolArray, read_only_view
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond
+from calib.foundations.sealing import sealed
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism
 from calib.robot.kinematics import Frame, Joints, Kinematics, Mass, Regressor, Weighed
@@ -101,6 +102,7 @@ class Body(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Weights:
     """A nominal machine with masses, ``bodies``.
 

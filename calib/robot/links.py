@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
+from calib.foundations.sealing import sealed
 from calib.robot import deviation
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Deviations, Robot
@@ -17,6 +18,7 @@ from calib.robot.urdf import Urdf, UrdfJoint
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Arm:
     """An arm through N poses. ``root`` (4, 4): its root link in the world.
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.files import DAMAGED
+from calib.foundations.sealing import sealed
 from calib.robot.mesh_counts import MOST_CORNERS, counts, without_pictures
 
 Rgb = tuple[float, float, float]
@@ -31,6 +32,7 @@ _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Triangles:
     """Triangles of one colour: vertices (V, 3) in m, faces (F, 3) of vertex indices, and red, green, blue in 0..1."""
 

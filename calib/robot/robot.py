@@ -19,6 +19,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, as_slice, read_
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
+from calib.foundations.sealing import sealed
 from calib.foundations.words import counted, listed, shown
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.deviation import Motions
@@ -87,6 +88,7 @@ class ClosedLoop:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class ChainJoint:
     """One joint of the arm. ``placement`` (4, 4): its frame in the frame of joint ``parent`` (-1: base), nominally.
 
@@ -101,6 +103,7 @@ class ChainJoint:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Deviations:
     """How a machine differs from its URDF.
 
@@ -187,6 +190,7 @@ class TipMotion(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Robot:
     """An arm, or several on one base, as the URDF designed them. Made by :func:`calib.load_robot`.
 
@@ -249,10 +253,12 @@ class Robot:
         """What bears on the robot where it stands."""
         return self.load_in(self.setup)
 
+    @checked
     def load_in(self, setup: str) -> Load:
         """Return what bears on the robot in a set-up."""
         return self.loads.get(setup, Load(self.gravity, self.payload))
 
+    @checked
     def moments(self, payload: Payload | None) -> Array:
         """Return first moments in kg m, and masses in kg, of a payload (links, 4) on the robot's ``links``."""
         links = self.links or (self.tip,)
@@ -391,6 +397,7 @@ class Robot:
         """Return tip placements and derivatives at readings (N, nr). Raises as joint_positions does."""
         return TipModel(self, deviations).motion(self.own(readings), conditions)
 
+    @checked
     def own(self, readings: npt.ArrayLike) -> Array:
         """Return readings (N, nr) as they are, in double precision.
 

@@ -16,11 +16,13 @@ from typing import Literal, NamedTuple, cast, get_args
 
 import numpy as np
 
+from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
 from calib.foundations.rigid import placement, rotation_of_rpy
+from calib.foundations.sealing import sealed
 from calib.foundations.units import NUMBER
 from calib.foundations.words import listed, near, shortened, shown
 from calib.foundations.xml_text import NOT_EXPANDED, Element, NotXmlError, read_xml
@@ -63,6 +65,7 @@ class Mimic:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class UrdfJoint:
     """A joint as the file states it.
 
@@ -104,12 +107,14 @@ class Urdf:
         object.__setattr__(self, "_by_name", {joint.name: joint for joint in self.joints})
         object.__setattr__(self, "_by_child", {joint.child: joint for joint in self.joints})
 
+    @checked
     def joint(self, name: str) -> UrdfJoint:
         """Return the joint called ``name``, or raise RobotError with the names that are near."""
         if name in self._by_name:
             return self._by_name[name]
         raise RobotError(f"{self.where}: there is no joint {shown(name)}{_hint(name, [j.name for j in self.joints])}")
 
+    @checked
     def parent_joint(self, link: str) -> UrdfJoint | None:
         """Return the joint that carries ``link``, None for the root; raise RobotError when there is no such link."""
         if link != self.root and link not in self._by_child:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.assessment import iso9283
 from calib.assessment.iso9283 import IsoFigure, figures
-from calib.foundations.errors import MeasurementError
+from calib.foundations.errors import CalibError, MeasurementError
 from calib.measurement.cycles import cycles, read_cycles
 from calib.measurement.table import table_from_arrays
 from scripts.simulate import irb2400 as simulation
@@ -214,3 +214,20 @@ def test_the_command(tmp_path: Path) -> None:
     assert len(found) == len(figures(read_cycles(path)))
     assert max(map(len, said.out.splitlines())) <= 80
     assert run("iso9283", tmp_path / "none.csv").code == 1
+
+
+def test_formulas_are_told_what_is_no_cycle_in_a_sentence() -> None:
+    one, two = np.zeros((1, 3)), np.zeros((2, 3))
+    for slip, said in (
+        (lambda: iso9283.position_repeatability(one), "repeatability needs 2 cycles or more."),
+        (lambda: iso9283.orientation_repeatability(one), "repeatability needs 2 cycles or more."),
+        (lambda: iso9283.distance_repeatability(one, one), "repeatability needs 2 cycles or more."),
+        (lambda: iso9283.position_accuracy(np.zeros((0, 3)), np.zeros(3)), "must be finite numbers (n, 3)"),
+        (lambda: iso9283.position_accuracy(two, np.zeros(2)), "the commanded position must be three finite numbers"),
+        (lambda: iso9283.distance_accuracy(one, two, 0.1), "1 cycle of one pose and 2 of the other."),
+        (lambda: iso9283.multidirectional_variation([two]), "needs two directions or more."),
+        (lambda: iso9283.position_accuracy(None, np.zeros(3)), "attained is None; needs an array of numbers."),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(CalibError) as caught:
+            slip()
+        assert said in str(caught.value)

@@ -743,6 +743,8 @@ def test_joint_targets_of_a_table() -> None:
     names = [f"{r.name} [deg]" for r in model.robot.readings]
     assert lines[0] == [*names, "tool", "remaining_error [mm]", "remaining_turn [mrad]", "reached", "reason"]
     assert [line[9] for line in lines[1:]] == ["yes"] * 4 + ["no"]
+    with pytest.raises(calib.CalibError, match=r"are \(2, 6\) readings; of .* and this arm: \(5, 6\)\."):
+        targets.corrected_csv(model, wanted, commands.for_joint_targets(model, readings[:2]))
     assert (
         np.abs(np.radians(np.array([line[:6] for line in lines[1:5]], dtype=float)) - found.readings[:4]).max() < 1e-10
     )

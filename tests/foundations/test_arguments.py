@@ -204,9 +204,17 @@ def test_slips_of_python_users_are_sentences() -> None:
         (lambda: data.subset([99]), "there are no such rows among 60"),
         (lambda: data.subset(np.array(3)), "rows are a list of numbers, or a mask, and no 0-d array."),
         (lambda: data.link_of(7), "there is no such target among 0 (tuple index out of range)."),
-        (lambda: data.link_of("a"), "there is no such target among 0"),  # type: ignore[arg-type]
+        (lambda: data.link_of("a"), "link_of: target is 'a'; needs a whole number."),  # type: ignore[arg-type]
         (lambda: fit.told_covariance(np.array([999])), "told_covariance: parameters is no array of numbers from 0 to"),
         (lambda: fit.told_covariance(np.array(0)), "told_covariance: parameters is no array of numbers from 0 to"),
+        (lambda: fit.value("tool.y.z"), "the fit has no parameter 'tool.y.z'; there are 'tool.z', 'tool.y', 'tool.x'."),
+        (lambda: fit.value("q"), "the fit has no parameter 'q'; there are 'joint_1.offset', 'joint_2.offset',"),
+        (lambda: fit.bases_of(None), "bases_of: data is None; needs a Measurements."),  # type: ignore[arg-type]
+        (lambda: data.placed_by(np.eye(4)), "tools has the shape (4, 4); needed is (1, 4, 4)."),
+        (lambda: data.loaded(fit), "loaded: robot is a Fit; needs a Robot."),  # type: ignore[arg-type]
+        (lambda: robot.own(["a"]), "own: readings is ['a']; needs an array of numbers."),
+        (lambda: model.at(["base"]), "at: setup is ['base']; needs a text."),  # type: ignore[arg-type]
+        (lambda: calib.judging.cross_validate(model, data, count=2).figure("turn"), "quantity: 'turn' is not one of"),
         (lambda: fit.told_covariance([0]), "told_covariance: parameters is [0]; needs an array of whole numbers."),  # type: ignore[arg-type]
         (lambda: calib.positions(robot, data.readings, data.position, tool="\ud800"), "holds half a character"),  # type: ignore[arg-type]
         (
@@ -313,6 +321,11 @@ def test_numbers_out_of_range_are_refused_where_they_come_in() -> None:
         (lambda: calib.judging.uncertainty_map(u, 0), "0 random poses, seed 0: allowed are 1 to 1000000"),
         (lambda: calib.judging.uncertainty_map(u, 10**9), "1000000000 random poses"),
         (lambda: calib.judging.uncertainty_map(u, 5, seed=-1), "no negative seed"),
+        (
+            lambda: calib.judging.uncertainty_map(u, 5, closure_determinant=float("nan")),
+            "closure_determinant is nan; needs a finite number.",
+        ),
+        (lambda: at.expected_circle_error(-1.0, t, 1e-4), "radius is -1 m; allowed is 0 to 10000 m."),
         (lambda: calib.judging.uncertainty_map(u, 5, limits=np.zeros((2, 6))), "limits: needs finite numbers (6, 2)"),
         (
             lambda: calib.judging.uncertainty_map(u, 5, limits=np.full((6, 2), np.nan)),
@@ -534,6 +547,10 @@ def test_methods_that_take_numbers_or_names_hold_them_against_their_hints() -> N
         lambda: board.numbers(np.zeros((4, 6))),
         lambda: bodies.colliding(np.ma.masked_all((2, 6))),
         lambda: bodies.without_lasting(np.ma.masked_all((2, 6))),
+        lambda: bodies.without_lasting(np.array(1.0)),
+        lambda: bodies.colliding(np.array(1.0)),
+        lambda: bodies.colliding(np.zeros((2, 6)), 5),  # type: ignore[arg-type]
+        lambda: board.same_as(5),  # type: ignore[arg-type]
         lambda: measuring.TouchingArm(machine, np.zeros(3), 1e-5).points(readings),
         lambda: model.parameters("tool"),
         lambda: data.at(["base"]),  # type: ignore[arg-type]
@@ -554,3 +571,42 @@ def test_rows_of_one_set_up_are_read_only() -> None:
 
 def vars_of(made: object) -> dict[str, Any]:
     return {name: getattr(made, name) for name in type(made).__slots__}  # type: ignore[attr-defined]
+
+
+def test_every_method_of_a_public_class_looks_at_what_it_is_given() -> None:
+    """But for two that rooms use among themselves: of what is known to be right, and of functions as arguments."""
+    rooms = (calib, calib.commands, calib.dh, calib.judging, calib.measuring, calib.planning, calib.positioner)
+    classes = {thing for room in rooms for name in room.__all__ if inspect.isclass(thing := getattr(room, name))}
+    bare = [
+        f"{cls.__name__}.{name}"
+        for cls in classes
+        for name, method in vars(cls).items()
+        if not name.startswith("_")
+        and inspect.isfunction(own := getattr(method, "__func__", method))
+        and len(inspect.signature(own).parameters) > 1
+        and not hasattr(own, "__wrapped__")
+    ]
+    assert sorted(bare) == ["Deviations.trusted", "Finding.warning"]
+
+
+def test_a_hint_that_names_its_own_class_is_held_against_too() -> None:
+    class Thing:
+        @checked
+        def like(self, other: "Later | None") -> bool:
+            return other is None
+
+    with pytest.raises(JobError, match=r"^like: other is 5; needs a Later or None\.$"):
+        Thing().like(5)  # type: ignore[arg-type]
+
+
+class Later:
+    """A class that is known when it is asked for."""
+
+
+def test_things_that_fail_to_become_arrays_are_sentences() -> None:
+    class Tensor:
+        def __array__(self) -> npt.NDArray[Any]:
+            raise RuntimeError("detach it first")
+
+    with pytest.raises(JobError, match=r"^takes: numbers is a Tensor; needs an array of numbers or None\.$"):
+        takes(numbers=Tensor())

@@ -39,6 +39,10 @@ def test_readings_of_axes_that_are_none_are_sentences() -> None:
         lambda: found.points(["x"], 0.1, 0.1),
         lambda: found.points([0.1, 0.2], 0.1, 0.1),
         lambda: found.frames(0.1, 0.1, [0.1, 0.2, 0.3]),
+        lambda: found.frames(0.1, 0.1, np.diag([2.0, 2.0, 2.0, 1.0])),
+        lambda: found.motion([0.1, 0.2, 0.3], [0.1, 0.2]),
+        lambda: found.points(np.eye(3), [], 0.1),
+        lambda: positioner.expected_circle_error(-1.0, t, 1e-4),
         lambda: found.robot(["a", None]),
         lambda: found.robot(("a", "\ud800")),
     ):

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.sealing import sealed
 from calib.identification.followed import Followed
 from calib.job.chains import Chain
 from calib.job.proposal import About, Question
@@ -69,6 +70,7 @@ class Pick:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Trial:
     """A pick in units: how well the arm follows it, from ``tips`` (N, 4, 4) to ``position`` (N, 3) in m.
 

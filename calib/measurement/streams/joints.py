@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
+from calib.foundations.sealing import sealed
 from calib.foundations.units import Dimension
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class Following(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class JointStream:
     """Readings of joints ``names`` at any time, by cubics through samples, which are smooth to the second derivative.
 

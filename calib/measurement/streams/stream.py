@@ -12,6 +12,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.brief import brief
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
+from calib.foundations.sealing import sealed
 from calib.foundations.words import refuse_other
 from calib.measurement.scalars import Scalar
 from calib.measurement.streams.joints import JointStream
@@ -61,6 +62,7 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Stream:
     """When rows were measured: ``since`` (N,) s after ``middle``, in s, by the instrument's clock.
 

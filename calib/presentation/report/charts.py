@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.sealing import sealed
 
 WIDTH = 360
 _HEIGHT = 230
@@ -56,6 +57,7 @@ class Axis:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Points:
     """Dots of one class at x (n,), y (n,)."""
 
@@ -66,6 +68,7 @@ class Points:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Curve:
     """A line of one class through x (n,), y (n,)."""
 
@@ -75,6 +78,7 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class Bars:
     """Bars of one class on y = 0, between ``edges`` (n + 1,) and as high as ``heights`` (n,)."""
 

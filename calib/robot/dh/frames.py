@@ -26,6 +26,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
 from calib.foundations.errors import RobotError, naming
+from calib.foundations.sealing import sealed
 from calib.robot import deviation
 from calib.robot.dh.table import NUMBERS, DhRow, DhTable, check_convention, step_across, step_along
 from calib.robot.robot import ChainJoint, Deviations, Robot
@@ -45,6 +46,7 @@ Direction = tuple[tuple[int, float], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class DhFrames:
     """An arm in DH frames. Made by :func:`dh_frames`.
 
@@ -70,6 +72,7 @@ class DhFrames:
     last: int
     to_first: Array
 
+    @checked
     def table(self, deviations: Deviations | None = None) -> DhTable:
         """Return the table of the nominal arm, or of one with ``deviations`` of ``robot``: its tips, to rounding.
 
@@ -107,6 +110,7 @@ class DhFrames:
             rows.pop()
         return DhTable(self.convention, tuple(rows), _cleaned(base), _cleaned(tool))
 
+    @checked
     def in_source(self, deviations: Deviations) -> Deviations:
         """Return the deviations of ``source`` that make the same arm as ``deviations`` make of ``robot``."""
         found = np.zeros((len(self.source.chain), 6))
@@ -120,6 +124,7 @@ class DhFrames:
                 found[k] = np.concatenate([E[:3, 3], -rigid.rpy_of(E[:3, :3].T)])
         return Deviations(read_only(found), deviations.offsets, deviations.terms)
 
+    @checked
     def source_rates(self, deviations: Deviations) -> Array:
         """Return how the placements' deviations of ``source`` follow those of ``robot``: (6 n_source, 6 n_robot)."""
         there = self.in_source(deviations).placements

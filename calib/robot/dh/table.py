@@ -22,6 +22,7 @@ from calib.foundations.brief import brief
 from calib.foundations.choices import Convention
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import OF_DIMENSION
+from calib.foundations.sealing import sealed
 from calib.foundations.words import refuse_other
 
 RowType = Literal["revolute", "prismatic", "fixed"]
@@ -76,6 +77,7 @@ def step_across(a: float, alpha: float, beta: float) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+@sealed
 class DhTable:
     """Rows from base to tip. ``base`` (4, 4): frame 0 in the base link; ``tool`` (4, 4): the tip in the last frame.
 
