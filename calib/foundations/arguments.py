@@ -217,7 +217,7 @@ def _is_numbers(value: Any) -> bool:
     try:
         odd = value is None or is_masked(value) or _in_lists(_has_named_columns, value)
         return not odd and np.asarray(value).dtype.kind in _STANDS_FOR["f"]
-    except Exception:  # noqa: BLE001 - lists of several lengths, and whatever things of others raise, as tensors do
+    except (TypeError, ValueError, RuntimeError):  # lists of several lengths; RuntimeError: tensors of others
         return False
 
 
