@@ -12,7 +12,7 @@ take up of it. It is named if the tool were far less certain then.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,8 +24,8 @@ from calib.assessment.stretches import Stretch, as_means
 from calib.foundations.arrays import Array
 from calib.foundations.units import MM
 from calib.foundations.words import listed, noun
-from calib.identification.machine import machine, values_at
 from calib.identification.parameters import scales
+from calib.identification.tool_motions import tool_motions
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import by_pair, tool_uncertainty
 from calib.measurement.checks import Finding
@@ -41,8 +41,8 @@ _WEAK = 10.0 * MM
 _TIMES = 2.0
 # Standard deviations of the tool by which it would be elsewhere by what rows ask for.
 _PULL = 1.0
-# In m: what users are told the effect of. In parameter scales: the largest step of central differences.
-_TOLD, _STEP = 0.1 * MM, 0.1
+# In m: what users are told the effect of.
+_TOLD = 0.1 * MM
 _MORE = "Measure the ball; more faces that look opposite ways, touches all around, or positions, would check it."
 # So many rows of a set tell where tools are; of more targets some are looked at. In m: smaller errors are rounding.
 _ENOUGH, _MOST_TARGETS, _ROUNDING = 200, 100, 1e-9
@@ -188,22 +188,9 @@ class StatedNumbers:
     def _moved(self, follows: Array) -> Array:
         """Return how tools move (n, 3), for some rows of all parts, if parameters move by ``follows`` (k,), scaled."""
         fit, judged = self._residue.fit, self._residue.judged
-        size = float(np.abs(follows).max(initial=0.0))
-        if size == 0.0:
-            return np.zeros((len(self._certain), 3))
-        step = np.zeros(len(fit.parameters))
-        step[judged] = _STEP / size * follows * scales(fit.parameters)[judged]
-        frames, deviations = fit.machine.frames, fit.machine.deviations
-        x = values_at(fit.model.robot, fit.parameters, frames, deviations)
-        ends = []
-        for y in (x + step, x - step):
-            there = replace(fit, machine=machine(fit.model.robot, fit.parameters, frames, y, deviations))
-            tips = [
-                there.bases_of(rows) @ rows.tips(there.robot, there.deviations) @ there.tools_of(rows)
-                for rows in self._rows
-            ]
-            ends.append(np.concatenate(tips)[:, :3, 3])
-        return np.asarray((ends[0] - ends[1]) / (2.0 * _STEP / size))
+        step = np.zeros((len(fit.parameters), 1))
+        step[judged, 0] = follows * scales(fit.parameters)[judged]
+        return np.concatenate([tool_motions(fit, rows, step)[:, :, 0] for rows in self._rows])
 
     def _covariances(self) -> Array:
         """Return the stated covariances (n, 3, 3) of the tool's position at the same rows, in m^2."""

@@ -18,9 +18,9 @@ from calib.identification.machine import values_at
 from calib.identification.parameters import scales
 from calib.identification.stances import touches
 from calib.identification.system import Problem, evaluate
+from calib.identification.tool_motions import as_positions
 from calib.identification.weights import search_variances, sigmas_of
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
-from calib.measurement.measurements import Measurements
 
 # A strain is not seen to which priors contribute more than this share of what is known of it.
 _UNSEEN = 0.25
@@ -97,28 +97,10 @@ def _moved(problem: Problem) -> tuple[Array, Array]:
     of_arm = np.array([parameters[k].of_robot or parameters[k].kind == "tool" for k in split.common])
     moved = linear.Gathered(12 + len(split.common))
     for data in problem.measurements:
-        for block in rates.blocks(_as_positions(data)):
+        for block in rates.blocks(as_positions(data)):
             x = block.moved[0].placed[:, :3, 3]
             rigidly = [-rigid.skew(x), np.broadcast_to(np.eye(3), (len(x), 3, 3))]
             by_common = np.where(of_arm, -block.J, 0.0)
             moved.add(np.concatenate([*rigidly, np.moveaxis(x @ _STRAINS, 0, -1), by_common], axis=2))
     rows = moved.triangle[6:] / np.sqrt(sum(map(len, problem.measurements)))
     return rows[:, 12:], rows[:, 6:12]
-
-
-def _as_positions(data: Measurements) -> Measurements:
-    """Return rows of one end alone, as if an instrument that sees all that is on the floor had seen the tool."""
-    n = len(data)
-    return replace(
-        data,
-        kind="position",
-        position=np.zeros((n, 3)),
-        value=np.zeros((n, 0)),
-        sigma=np.ones((n, 3)),
-        other=None,
-        uses={},
-        camera=None,
-        board=None,
-        target_links={},
-        stream=None,
-    )

@@ -65,8 +65,8 @@ def test_a_ball_that_touched_known_faces_from_one_side_each_is_said_to_be_taken_
     found = calibrated(here, BLOCK, too_large=too_large)
     (sentence,) = said(found)
     assert sentence.startswith(
-        "The radius of the ball where 'floor', 'left', 'front' were touched is taken as stated, and no row checks it: if "
-        "it is 0.1 mm off, the tool is 0."
+        "The radius of the ball where 'floor', 'left', 'front' were touched is taken as stated, and no row checks it: "
+        "if it is 0.1 mm off, the tool is 0."
     )
     # The faces are not quite at right angles.
     normals = np.array([FACES[name][0] for name in BLOCK])

@@ -14,10 +14,11 @@ from calib.foundations.linear import Gathered, svd
 from calib.foundations.units import MM
 from calib.identification.fit import Fit
 from calib.identification.identifiability import MOVED, NUMERICAL_TOLERANCE
-from calib.identification.machine import machine, values_at
+from calib.identification.machine import values_at
 from calib.identification.mirrored import FAR_TOOL
 from calib.identification.parameters import Parameter, scales
 from calib.identification.system import Problem, related
+from calib.identification.tool_motions import tool_motions
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
 from calib.measurement.optics import SCALE as OF_BOARD
@@ -38,9 +39,8 @@ SCALED = 2e-3
 LEAST_SCALED, MOST_SCALED, MOST_LINK = 1e-3, 3e-3, 0.1
 # Scales of a parameter that may take up a common share, beside what rows say.
 PLAUSIBLE = 10.0
-# Kinds of which a row tells a length that may be far shorter than the arm; a step along a direction.
+# Kinds of which a row tells a length that may be far shorter than the arm.
 SHORT = ("sphere", "pair_distance")
-STEP = 1e-4
 # In m: a tool point from its link, the base from the instrument.
 FAR_BASE = 100.0
 # Warnings about the input that count.
@@ -229,28 +229,22 @@ def _of_tool(fit: Fit, sets: Sequence[Measurements], directions: Array) -> Array
     alone. All touches of one ball are at one place, so readings are mixed: the arm is meant, and not what it touched.
     A loop may not close at any readings.
     """
-    x = values_at(fit.model.robot, fit.parameters, fit.machine.frames, fit.machine.deviations)
-    found = np.zeros((len(sets), directions.shape[1], directions.shape[1]))
+    found, frames = np.zeros((len(sets), directions.shape[1], directions.shape[1])), fit.machine.frames
+    still = np.array([parameter.kind != "base" for parameter in fit.parameters])[:, None] * directions
+    frames = replace(frames, bases=np.broadcast_to(np.eye(4), frames.bases.shape))
+    standing = replace(fit, machine=replace(fit.machine, frames=frames))
     for k, rows in enumerate(sets):
         n, readings = rows.readings.shape[0], rows.readings
         if not fit.model.robot.loops:
             readings = np.column_stack([np.roll(q, j * n // len(readings.T)) for j, q in enumerate(readings.T)])
         data = replace(rows, readings=readings)
-        steps = [_places(fit, data, x + STEP * d) - _places(fit, data, x - STEP * d) for d in directions.T]
-        by = np.stack([step.ravel() for step in steps], axis=1) / (2.0 * STEP)
-        p = _places(fit, data, x)
+        by = tool_motions(standing, data, still).reshape(3 * n, -1)
+        p = (data.tips(fit.model.robot, fit.machine.deviations) @ fit.tools_of(data))[:, :3, 3]
         turned = np.cross(np.eye(3)[:, None], p - p.mean(axis=0)).transpose(1, 2, 0).reshape(-1, 3)
         whole = np.hstack([turned, np.tile(np.eye(3), (n, 1))])
         rest = by - whole @ np.linalg.lstsq(whole, by, rcond=None)[0]
         found[k] = rest.T @ rest / n
     return found
-
-
-def _places(fit: Fit, data: Measurements, x: Array) -> Array:
-    """Return the places (n, 3) of the tools of rows where the parameters of a fit have the values x (p,)."""
-    moved = machine(fit.model.robot, fit.parameters, fit.machine.frames, x, fit.machine.deviations)
-    tools = replace(fit, machine=moved).tools_of(data)
-    return np.asarray((data.tips(fit.model.robot, moved.deviations) @ tools)[:, :3, 3])
 
 
 def is_stated_scale(parameter: Parameter) -> bool:
