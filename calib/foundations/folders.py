@@ -135,6 +135,8 @@ def made_folder(path: Path) -> Iterator[None]:
 def _made(path: Path) -> Iterator[None]:
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
+        if lost := next((folder for folder in made if folder.is_symlink()), None):
+            raise OutputError(f"{path}: cannot be made, as {lost} is a link that leads nowhere.")
         path.mkdir(parents=True, exist_ok=True)
         yield
     except BaseException:

@@ -15,7 +15,7 @@ import pytest
 from calib.foundations import folders
 from calib.foundations.errors import OutputError
 from calib.foundations.files import opened_folder
-from calib.foundations.folders import reading_folder, refuse_unwritable, write_folder
+from calib.foundations.folders import made_folder, reading_folder, refuse_unwritable, write_folder
 from tests.support.swaps import OURS, at_operation, fill, left, swap
 
 OLD = dict.fromkeys(OURS, "old")
@@ -673,3 +673,16 @@ def test_swapped_at_every_operation(
         assert tree(home) == told, n
         n += 1
     assert n > (30 if act is _write else 5)
+
+
+@pytest.mark.parametrize("target", ["nowhere", "link"], ids=["nowhere", "circle"])
+def test_a_folder_below_a_link_that_leads_nowhere_is_refused_for_that(tmp_path: Path, target: str) -> None:
+    """It said that a file exists."""
+    link = tmp_path / "link"
+    link.symlink_to(target)
+    said = f"cannot be made, as {link} is a link that leads nowhere"
+    with pytest.raises(OutputError, match=said):
+        write_folder(link / "board", {"a": b"1"})
+    with pytest.raises(OutputError, match=said), made_folder(link):
+        pass
+    assert [path.name for path in tmp_path.iterdir()] == ["link"]
