@@ -387,8 +387,36 @@ def _sheets() -> list[bytes]:
         b"\4q = np.array([[1, 2, 3],\n [2, 3, 4],\n [3, 4, 5]])\n",
         b'\4n,q,p\n1,"[1, 2, 3]","(1 2 3)"\n2,"[1, 2, 4]","(1 2 3)"\n',
         b"\4J1=1.5; J2=-2 deg; x=3,25 mm\nJ1=2; J2=-3 deg; x=4 mm\n",
+        b"\4P 1\n1 0 0 5\n0 1 0 6\n0 0 1 7\n0 0 0 1\n1 0 0 5\n0 1 0 6\n0 0 1 8\n0 0 0 1\n",
+        b"\4Trajectories\n100\n,,arm:a,,,arm:b,,\nFrame,Sub Frame,X,Y,Z,X,Y,Z\n,,mm,mm,mm,mm,mm,mm\n"
+        b"1,0,1,2,3,4,5,6\n2,0,1,2,3,4,5,7\n",
+        b"\4NO_OF_FRAMES\t2\nNO_OF_MARKERS\t1\nMARKER_NAMES\ta\na X\ta Y\ta Z\n" + b"1.5\t2\t3\n" * 6,
+        b"\4DECL E6POS XP1={X 1.5,Y 2,Z 3,A 4,B 5,C 6,S 2,T 35}\nDECL E6POS XP2={X 1,Y 2,Z 3,A 4,B 5,C 6,S 2,T 35}\n",
+        b"\4 movej([0.1, - 1.2, .3], a=1.4, v=1)\n movej([0.1, -1.2, .4], a=1.4, v=1)\n",
+        b"\4n  x [mm]  y (mm)\n0  1.5  2\n1  1.0  3\n",
+        b'\1{"a": [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17]}',
+        b'\1{"columns": ["a", "b"], "index": ["P", "Q"], "data": [[1, 2], [3, null]]}',
+        b"\3" + _small_workbook(),
+        b"\5" + _small_archive(),
         *map(_matlab, (False, True)),
     ]
+
+
+def _small_workbook() -> bytes:
+    import openpyxl  # noqa: PLC0415 - an extra
+
+    book, held = openpyxl.Workbook(), io.BytesIO()
+    for row in (("name", "x [mm]"), ("P1", 1.5), ("P2", "2,5"), (None, 3)):
+        book.active.append(row)
+    book.active.merge_cells("A3:A4")
+    book.save(held)
+    return held.getvalue()
+
+
+def _small_archive() -> bytes:
+    held = io.BytesIO()
+    np.savez(held, q=np.arange(6.0).reshape(2, 3), n=np.array(["a", "b"]), T=np.ones((2, 4, 4)), k=np.int8([1, 2]))
+    return held.getvalue()
 
 
 def _matlab(packed: bool) -> bytes:

@@ -39,6 +39,7 @@ from calib.machine.gaussian import GaussianResiduals, Kernel, gaussian_bytes
 from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import MOST_LINKS
+from scripts.development.hostile_imports import IMPORTED, Fill
 from tests.support import cameras, machines, streams
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -1229,6 +1230,15 @@ def _records(name: str, piece: Callable[[int], str], head: str = "", tail: str =
     return _text(name, ("import", name, "-o", "table.csv"), piece, head, tail)
 
 
+def _imported(name: str, filled: Fill, more: tuple[str, ...]) -> Hostile:
+    """Write a file of the kinds that are imported."""
+
+    def write(folder: Path, size: int) -> None:
+        (folder / name).write_bytes(filled(size))
+
+    return Hostile(write, ("import", name, "-o", "table.csv", *more))
+
+
 def _laughs(mark: str, last: str) -> str:
     """Return lines of which each has the one before it nine times, by aliases, and what is then the last."""
     lines = [f"a0: &{mark}a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
@@ -1606,6 +1616,7 @@ HOSTILE: dict[str, Hostile] = {
     "packed process": _packed("gaussian.npz", _COMPENSATE),
     **_OTHERS,
     **_WRONG_PHOTOGRAPHS,
+    **{name: _imported(*of) for name, of in IMPORTED.items()},
 }
 
 
