@@ -80,14 +80,15 @@ class StatedNumbers:
     def contradicted(self, *, wrong: bool) -> list[Finding]:
         """Return what rows contradict most surely, where the tool would be elsewhere; nothing else.
 
-        ``wrong``: whether something else seems wrong, which may look like that unless it explains most of what is left.
+        ``wrong``: whether another check says what is wrong, as of places one does. It may look like that, but for a
+        length that explains most of what is left.
         """
         found = [(asked(one.parts, one.by, self._residue.C), one) for one in self._stated]
         sure = [
             (ask, one)
             for ask, one in found
             if ask.chance * len(found) < RARELY
-            and not (wrong and ask.left > LEAST_LEFT**2)
+            and not (wrong and (ask.left > LEAST_LEFT**2 or not one.checked))
             and np.sqrt(np.median(self._pull(ask.follows))) > _PULL
         ]
         if not sure:
