@@ -9,6 +9,8 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from calib.foundations.xml_text import Element, read_xml
 
 # Beyond one for every byte: of what a file shows again and again, or asks for and does not hold.
@@ -104,6 +106,7 @@ def _of_collada(data: bytes) -> Counts:
     everything: dict[str, list[Element]] = {}
     for element in read_xml(data, texts=True).descendants():
         everything.setdefault(_tag(element), []).append(element)
+    _refuse_no_places(everything)
     geometries: dict[str, Counts] = {}
 
     def add(element: Element, found: Counts) -> None:
@@ -149,6 +152,22 @@ def _of_collada(data: bytes) -> Counts:
     # Whatever is in the library is made as well, and once.
     library = _sum([*geometries.values(), *(of_node(node) for group in libraries for node in group.children)])
     return _most([shown, library])
+
+
+def _refuse_no_places(everything: Mapping[str, Sequence[Element]]) -> None:
+    """Raise ValueError where a place in a COLLADA is no number of four bytes.
+
+    The library would take 0 for NaN, and pass over triangles that have a corner at infinity: another shape. Of normals
+    and colours that is as good.
+    """
+    inputs = everything.get("input", ())
+    places = {one.attributes.get("source", "")[1:] for one in inputs if one.attributes.get("semantic") == "POSITION"}
+    for source in everything.get("source", ()):
+        if source.attributes.get("id", "") in places:
+            for array in _below(source, "float_array"):
+                with np.errstate(over="ignore"):
+                    if not np.isfinite(np.array(array.text.split(), dtype=np.float32)).all():
+                        raise ValueError("a place that is no number")
 
 
 def _of_geometry(geometry: Element) -> Counts:

@@ -214,3 +214,28 @@ def test_a_glb_of_places_that_the_library_takes_for_others_is_refused() -> None:
         lambda tree: tree.update(extensionsRequired=5),
     ):
         assert parse_mesh(_glb(change), ".glb", GREY) is None
+
+
+_DAE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset><up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="a" count="12">{}</float_array><technique_common><accessor source="#a" count="4" stride="3">
+<param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common>
+</source>
+<source id="n"><float_array id="b" count="3">{}</float_array><technique_common><accessor source="#b" count="1" stride="3">
+<param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common>
+</source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="2">
+<input semantic="VERTEX" source="#v" offset="0"/><input semantic="NORMAL" source="#n" offset="1"/>
+<p>0 0 1 0 2 0 0 0 2 0 3 0</p></triangles></mesh></geometry></library_geometries><library_visual_scenes>
+<visual_scene id="s"><node><instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+
+
+def test_a_collada_with_places_that_are_no_numbers_is_refused() -> None:
+    """Triangles with a corner at infinity were lost, and NaN was taken for 0. Of normals that is as good."""
+    places = "0 0 0 1 0 0 1 1 0 0 1 "
+    for normal in ("0 0 1", "0 0 nan", "inf 0 0"):
+        (part,) = parse_mesh(_DAE.format(places + "0", normal).encode(), ".dae", GREY).parts  # type: ignore[union-attr]
+        assert (len(part.faces), len(part.vertices)) == (2, 4)
+    for last in ("inf", "-INF", "nan", "1e39", "1e400", "none"):
+        assert parse_mesh(_DAE.format(places + last, "0 0 1").encode(), ".dae", GREY) is None
