@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calib.cli.application import IN_WORDS, PATH, Telling, command
-from calib.cli.options import ResultFolder, option, written
+from calib.cli.options import ResultFolder, SetupName, option, written
 from calib.foundations.choices import Target
 from calib.foundations.units import MM
 from calib_start import loading
@@ -24,6 +24,7 @@ def export(
     to: Annotated[Target, typer.Option("--to", help="Universal Robots, offsets, a DH table, YAML for ROS or xacro.")],
     out: Annotated[Path, written("FILE", "The file, to be written.")],
     tool: Annotated[str | None, option("--tool", "NAME", "Whose arm, where the robot has several.")] = None,
+    setup: SetupName = None,
     telling: Telling = IN_WORDS,
 ) -> None:
     """Write a calibrated machine in the format of a controller.
@@ -44,6 +45,9 @@ def export(
     refuse_taken(out)
     with reading_folder(results):
         model = load_machine(results)
+        # A document for ROS has all set-ups, and what other files leave out may cost another distance in each.
+        one_is_meant = model.sags_by_set_up and to != "ros"
+        model = model.standing(setup, str(results)) if one_is_meant else model.at(setup)
         model = model if tool is None else model.of(tool)
         corrected = results / DH_FILE
         doubts = doubts_of(results)

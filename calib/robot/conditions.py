@@ -56,9 +56,13 @@ class Conditions:
         return self.payload, self.gravity, self.motion
 
     @checked
-    def subset(self, rows: slice | IntArray | BoolArray) -> "Conditions":
-        """Return the conditions of some rows; these are no longer ordered."""
-        found: dict[str, Any] = {name: values[rows] for name, values in self.told().items()}
+    def subset(self, rows: slice | IntArray | BoolArray | Sequence[int]) -> "Conditions":
+        """Return the conditions of some rows; these are no longer ordered. Raises RobotError for rows that are none."""
+        those = rows if isinstance(rows, slice | np.ndarray) else np.array(rows, dtype=np.intp)
+        try:
+            found: dict[str, Any] = {name: values[those] for name, values in self.told().items()}
+        except IndexError as e:
+            raise RobotError(f"conditions: there are no such rows ({e}).") from e
         return Conditions(**found) if found else NO_CONDITIONS
 
     def told(self) -> dict[str, Array]:

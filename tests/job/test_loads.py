@@ -152,6 +152,19 @@ def test_payloads_by_table_and_a_wall_by_set_up(folder: Path) -> None:
     ]
     assert told[0]["after"] != told[1]["after"]
 
+    # What a file for a controller leaves out costs another distance in each.
+    asked_for = run("export", out, "--to", "offsets", "-o", folder / "none.csv")
+    assert (asked_for.code, "say which one is meant, by --setup" in asked_for.err) == (1, True)
+    costs = []
+    for name in bases_of:
+        written = run("export", out, "--to", "offsets", "-o", folder / f"of_{name}.csv", "--setup", name, "--json")
+        assert written.code == 0, written.err
+        costs.append(json.loads(written.out)["lost"])
+    assert costs[0] != costs[1]
+    assert run("export", out, "--to", "ros", "-o", folder / "all.yaml", "-q").code == 0
+    assert run("export", out, "--to", "ros", "-o", folder / "of_wall.yaml", "--setup", "wall", "-q").code == 0
+    assert "there is no set-up 'moon'" in run("export", out, "--to", "ros", "-o", folder / "m", "--setup", "moon").err
+
 
 def test_a_payload_that_a_set_up_bears_is_as_good_as_one_of_the_table(folder: Path) -> None:
     heavy = payload(2.5)

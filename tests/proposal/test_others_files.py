@@ -183,6 +183,18 @@ def test_yaml_of_opencv_is_told_from_broken_yaml(folder: Path) -> None:
         read_sheet("a.yaml")
 
 
+def test_a_lens_in_an_archive_is_no_pose(folder: Path) -> None:
+    K, bent = np.array([[900.0, 0.0, 640.0], [0.0, 901.0, 360.0], [0.0, 0.0, 1.0]]), np.zeros((1, 5))
+    pose = {"tvec": np.ones((3, 1)), "rvec": np.full((3, 1), 0.1)}
+    for name, arrays in (("a", {"mtx": K, "dist": bent}), ("b", {"K": K}), ("c", {"K": K, "D": bent[0], "rms": [0.2]})):
+        np.savez(f"{name}.npz", **arrays)
+        code, _, said = run("import", f"{name}.npz", "-o", f"{name}.csv")
+        assert (code, "is the matrix of a camera, with nothing that was measured beside it" in said) == (1, True)
+    for name, arrays in (("d", pose | {"mtx": K, "dist": bent}), ("e", {"R": np.eye(3), "t": np.ones((3, 1))})):
+        np.savez(f"{name}.npz", **arrays)
+        assert "1 row" in run("import", f"{name}.npz", "-o", f"{name}.csv").out
+
+
 def test_vectors_in_archives_stand_lie_or_are_one_pose(folder: Path) -> None:
     seen = session()
     vector = Rotation.from_matrix(seen.rotation).as_rotvec()

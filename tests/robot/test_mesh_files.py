@@ -216,12 +216,15 @@ def test_a_glb_of_places_that_the_library_takes_for_others_is_refused() -> None:
         assert parse_mesh(_glb(change), ".glb", GREY) is None
 
 
-_DAE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset><up_axis>Z_UP</up_axis></asset>
+_DAE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><up_axis>Z_UP</up_axis></asset>
 <library_geometries><geometry id="g"><mesh>
-<source id="p"><float_array id="a" count="12">{}</float_array><technique_common><accessor source="#a" count="4" stride="3">
+<source id="p"><float_array id="a" count="12">{}</float_array>
+<technique_common><accessor source="#a" count="4" stride="3">
 <param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common>
 </source>
-<source id="n"><float_array id="b" count="3">{}</float_array><technique_common><accessor source="#b" count="1" stride="3">
+<source id="n"><float_array id="b" count="3">{}</float_array>
+<technique_common><accessor source="#b" count="1" stride="3">
 <param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common>
 </source>
 <vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="2">

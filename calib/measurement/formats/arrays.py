@@ -19,7 +19,7 @@ import scipy
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
-from calib.foundations.words import counted, listed, noun
+from calib.foundations.words import counted, listed, noun, shown
 from calib.measurement.cells import Rows
 from calib.measurement.layout import of_list, refuse_long_name
 
@@ -30,6 +30,10 @@ _MOST_COLUMNS = 1000
 _MOST_VALUES = 4_000_000
 # Of one pose: a matrix of 4 by 4, and a quaternion.
 _LARGEST_OF_RECORD, _LONGEST_STANDING = 16, 4
+# Beside the matrix of a camera: a figure, the size of an image, and the distortion as OpenCV has it.
+_OF_A_LENS = frozenset((1, 2, 4, 5, 8, 12, 14))
+# Focal lengths in px; a rotation has no element above 1.
+_SHORTEST = 2.0
 # Of MATLAB's kinds those that are matrices of numbers, and its mark of a packed element.
 _OF_NUMBERS = frozenset(("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))))
 _PACKED = 15
@@ -170,6 +174,11 @@ def _class_and_name(head: bytes, order: str) -> tuple[bool, str | None]:
 
 
 def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[str], where: str) -> Rows:
+    if lens := _only_a_lens(arrays):
+        raise MeasurementError(
+            f"{where}: {shown(lens)} is the matrix of a camera, with nothing that was measured beside it; a job takes "
+            "the numbers of a lens as fx, fy, cx, cy, k1 and so on, or the YAML of OpenCV, ROS or Kalibr as lens_file."
+        )
     if _are_one_record(arrays.values()):
         return _as_record(arrays, names, where)
     arrays, turned = _upright({name: _without_single_axis(array) for name, array in arrays.items()})
@@ -209,6 +218,22 @@ def _upright(
         if all(array.ndim != 2 for array in beside) and len(lying) + len(beside) > most:
             return {name: array.T if name in lying else array for name, array in arrays.items()}, lying
     return arrays, []
+
+
+def _only_a_lens(arrays: Mapping[str, npt.NDArray[np.generic]]) -> str | None:
+    """Return the name of a camera's matrix where all else is the distortion, the size of an image, or a figure."""
+    matrices = [name for name, array in arrays.items() if _is_of_a_camera(array)]
+    others = [array for name, array in arrays.items() if name not in matrices[:1]]
+    fits = all(array.size in _OF_A_LENS and array.size == max(array.shape) for array in others)
+    return matrices[0] if matrices and fits else None
+
+
+def _is_of_a_camera(array: npt.NDArray[np.generic]) -> bool:
+    """Return whether a matrix is fx, 0, cx; 0, fy, cy; 0, 0, 1, in px."""
+    if array.shape != (3, 3) or array.dtype.kind not in "iuf":
+        return False
+    K = array.astype(np.float64)
+    return bool(np.all(K[[1, 2, 2, 2], [0, 0, 1, 2]] == (0.0, 0.0, 0.0, 1.0)) and min(K[0, 0], K[1, 1]) > _SHORTEST)
 
 
 def _are_one_record(arrays: Collection[npt.NDArray[np.generic]]) -> bool:
