@@ -51,6 +51,8 @@ _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 # What exporters write before a line that is no row; behind a percent sign a name may stand, as rostopic has it: %time.
 _COMMENT = re.compile(r"\s*(?:#|//|%(?:$|[\s%=-]))")
 _LINE_END = re.compile(rb"\r\n?|\n")
+# What separates cells beside decimal commas.
+_PARTED = re.compile("[;|\t]")
 # Of these a spreadsheet makes the line of a row without anything in it.
 _BLANK = string.whitespace + ",;|"
 
@@ -243,8 +245,10 @@ def refuse_ragged(rows: Sequence[Sequence[str]], width: int, block: Sequence[Lin
             continue
         if len(found) < width and not ended:
             hint = ", and the file ends within this row: it seems truncated"
-        elif len(found) > width and found[-1] and text.count(",") >= len(found) - 1:
+        elif len(found) > width and found[-1] and text.count(",") >= len(found) - 1 and not _PARTED.search(text):
             hint = "; if these are decimal commas, write points, or separate the cells by semicolons"
+        elif len(rows) > 1 and all(len(row) == width + 1 and row[-1] for row in rows):
+            hint = "; a title is missing, which R gives the names of rows by write.table(..., col.names = NA)"
         else:
             hint = ""
         raise MeasurementError(f"{where}:{number}: the header has {width} cells and this row has {len(found)}{hint}.")

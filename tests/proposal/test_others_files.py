@@ -134,7 +134,7 @@ def test_decimal_commas_are_suspected_only_where_commas_part_the_cells(folder: P
         read_sheet("a.csv")
 
 
-@pytest.mark.parametrize("cell", ["{:.4f}°", "{:.4f} deg", "−{:.4f}"])
+@pytest.mark.parametrize("cell", ["{:.4f}°", "{:.4f} deg"])
 def test_cells_with_a_unit_are_named_by_the_joint_that_they_would_be(folder: Path, cell: str) -> None:
     lines = [[cell.format(abs(value)) for value in row] for row in degrees().tolist()]
     points = rows([mm()])

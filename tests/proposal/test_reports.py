@@ -161,7 +161,7 @@ def test_names_of_rows_that_r_writes_have_no_title(folder: Path, separator: str)
     assert not calib.measuring.propose(UR10, ["a.csv"]).questions
     # What is not quoted may as well lack another title.
     (folder / "b.csv").write_text("\n".join([head.removeprefix(separator), *rows]).replace('"', "") + "\n")
-    with pytest.raises(calib.MeasurementError, match="the header has 9 cells and this row has 10"):
+    with pytest.raises(calib.MeasurementError, match=r"9 cells and this row has 10; a title is missing, which R "):
         read_sheet("b.csv")
 
 
