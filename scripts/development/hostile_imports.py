@@ -141,8 +141,13 @@ def _mcap(records: Callable[[int], list[bytes]], definition: str = _POINT, kind:
     return lambda size: magic + begin + b"".join(records(size)) + end + magic
 
 
-def _channel(number: int) -> bytes:
-    return _record(4, struct.pack("<HH", number, 1), _word(f"/t{number}"), _word("cdr"), struct.pack("<I", 0))
+def _channel(number: int, schema: int = 1) -> bytes:
+    return _record(4, struct.pack("<HH", number, schema), _word(f"/t{number}"), _word("cdr"), struct.pack("<I", 0))
+
+
+def _kind_of_message(number: int) -> bytes:
+    schema = struct.pack("<H", number), _word(f"a/msg/B{number:x}"), _word("ros2msg"), _word("bool x")
+    return _record(3, *schema) + _channel(number, number)
 
 
 def _message(k: int, data: bytes) -> bytes:
@@ -285,6 +290,11 @@ IMPORTED: dict[str, tuple[str, Fill, tuple[str, ...]]] = {
     "topics of a recording": (
         "one.mcap",
         _mcap(lambda size: [_channel(2 + k) for k in range(size // 40)]),
+        ("--topic", "/t1"),
+    ),
+    "kinds of messages": (
+        "one.mcap",
+        _mcap(lambda size: [_kind_of_message(2 + k) for k in range(min(size // 93, 60_000))]),
         ("--topic", "/t1"),
     ),
     "remarks of a recording": (

@@ -16,6 +16,8 @@ from calib.foundations.words import shown
 
 # Steps of the parsers, of some 70 µs each: a line of a definition, or a value in it, is one.
 MOST_STEPS = 20_000
+# To make a class of a type takes as long as so many.
+_CLASS = 9
 # What takes the parser of IDL so many steps: it tries every rule of the grammar for sizes and values.
 _DEAR = 60
 # All values of messages that are read, for each byte of the recording, and at least; and of one message.
@@ -174,7 +176,7 @@ class Definitions:
         if (text, name) not in self._known:
             every = text.replace("\r\n", "\n").split("\n")
             lines = [line for line in every if line.strip() and not line.lstrip().startswith("#")]
-            self._take(len(lines) + sum(line.count(",") for line in lines))
+            self._take(_CLASS + len(lines) + sum(line.count(",") for line in lines))
             self._known[text, name] = self._narrow(self._of_messages("".join(f"{line}\n" for line in lines), name))
         return self._known[text, name]
 
@@ -201,7 +203,10 @@ class Definitions:
     def _take(self, steps: int) -> None:
         self._left -= steps
         if self._left < 0:
-            raise MeasurementError(f"{self._where}: defines too much: its messages have more than {MOST_STEPS} fields.")
+            raise MeasurementError(
+                f"{self._where}: defines too much: its messages have more than {MOST_STEPS} fields, or are of too many "
+                "kinds."
+            )
 
 
 # Between the definitions of a type in OMG's language and of those that are parts of it.
