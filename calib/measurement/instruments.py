@@ -89,7 +89,7 @@ class Camera:
     size: tuple[int, int] | None = None
     name: str = ONLY_CAMERA
     found: bool = False
-    lens_sigma: Mapping[str, float] = field(default_factory=dict)
+    lens_sigma: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         own_fields(self)

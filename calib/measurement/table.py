@@ -130,7 +130,7 @@ class Columns:
     these are no error.
     """
 
-    names: Mapping[str, str] = field(default_factory=lambda: NO_NAMES)
+    names: Mapping[str, str] = field(default_factory=lambda: NO_NAMES, hash=False)
     ignore: tuple[str, ...] = ()
     orientation: str | None = None
     where_present: bool = False

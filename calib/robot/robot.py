@@ -58,7 +58,7 @@ class Coupling:
     """A joint whose position is a sum of multiples of other joints' positions, plus ``offset`` (rad or m)."""
 
     joint: str
-    drivers: Mapping[str, float]
+    drivers: Mapping[str, float] = field(hash=False)
     offset: float = 0.0
 
     def __post_init__(self) -> None:

@@ -610,3 +610,12 @@ def test_things_that_fail_to_become_arrays_are_sentences() -> None:
 
     with pytest.raises(JobError, match=r"^takes: numbers is a Tensor; needs an array of numbers or None\.$"):
         takes(numbers=Tensor())
+
+
+def test_what_is_equal_has_one_hash() -> None:
+    def made() -> list[object]:
+        camera = calib.measuring.Camera("tip", 900.0, 900.0, 640.0, 360.0, free=("fx",), lens_sigma={"fx": 2.0})
+        return [calib.Coupling("a", {"b": 1.0}), camera, calib.measuring.Columns({"x": "east"})]
+
+    for one, other in zip(made(), made(), strict=True):
+        assert (one, hash(one), {one, other}) == (other, hash(other), {one})

@@ -431,6 +431,7 @@ def test_standard_deviations_of_the_point_are_read(
     sigmas[1, 0] *= 1 - zeros
     told, columns = told_of(folder, s, titles, sigmas)
     assert ("are the standard deviations of the point" in told) == (read is not None)
+    assert ("of the point, taken to be in mm as well." in told) == (read == "mm")
     found = {ours: theirs for ours, theirs in columns.items() if ours.startswith("sigma")}
     assert found == (dict(zip([f"sigma_{axis} [{read}]" for axis in "xyz"], titles, strict=True)) if read else {})
     assert run("check", "calibration.toml").code == 0

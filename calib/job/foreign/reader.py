@@ -282,7 +282,7 @@ def _sigmas(seen: Seen, best: Trial) -> dict[str, str]:
     columns = [called[tokens(column.name)] for column in own if tokens(column.name) in called]
     if len(columns) < len(own) or any(name.startswith("sigma") for name in seen.named):
         return {}
-    names = {}
+    names, assumed = {}, ""
     for axis, k, values, point in zip("xyz", columns, seen.raw.all_numbers(columns), own, strict=True):
         column = seen.raw.columns[k]
         symbol = column.symbol or point.symbol or best.units[2]
@@ -291,7 +291,8 @@ def _sigmas(seen: Seen, best: Trial) -> dict[str, str]:
         if np.median(values) * UNITS[symbol].factor > best.fit.miss:
             return {}
         names[f"sigma_{axis} [{symbol}]"] = column.title
-    seen.reasons.append(f"{run_of(list(names.values()))} are the standard deviations of the point")
+        assumed = assumed if column.symbol else f", taken to be in {symbol} as well"
+    seen.reasons.append(f"{run_of(list(names.values()))} are the standard deviations of the point{assumed}")
     return names
 
 
