@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import cast, get_args
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from calib.foundations.csv_text import csv_cell, csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.sealing import sealed
 from calib.foundations.units import MM, MRAD, UNITS, Dimension, Unit
-from calib.foundations.words import not_calibrated
+from calib.foundations.words import not_calibrated, refuse_other
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.columns import filled, orientations, stacked
 from calib.measurement.conditions import conditions, sided_columns
@@ -137,8 +137,10 @@ def corrections(
     """Return the commands for the targets of a table; ``what`` counts for joint targets, ``frame`` for poses.
 
     Raises MeasurementError when none of them can be reached, with the reason of the first, and where a column ``setup``
-    names another set-up than that in which the machine stands, and this matters.
+    names another set-up than that in which the machine stands, and this matters. Raises JobError for other words.
     """
+    refuse_other(what, get_args(What), "what")
+    refuse_other(frame, get_args(PoseFrame), "frame")
     if "setup" in wanted.table.columns and of_set_up(model, wanted, frame=frame):
         for line, name in zip(wanted.table.lines, wanted.table.columns["setup"].values, strict=True):
             if name != model.setup:

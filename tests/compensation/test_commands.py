@@ -745,6 +745,8 @@ def test_joint_targets_of_a_table() -> None:
     assert [line[9] for line in lines[1:]] == ["yes"] * 4 + ["no"]
     with pytest.raises(calib.CalibError, match=r"are \(2, 6\) readings; of .* and this arm: \(5, 6\)\."):
         targets.corrected_csv(model, wanted, commands.for_joint_targets(model, readings[:2]))
+    with pytest.raises(calib.CalibError, match="what: 'poses' is not one of pose, position"):
+        targets.corrections(model, wanted, what="poses")  # type: ignore[arg-type]
     assert (
         np.abs(np.radians(np.array([line[:6] for line in lines[1:5]], dtype=float)) - found.readings[:4]).max() < 1e-10
     )
