@@ -24,6 +24,7 @@ from calib.identification.fit import Fit
 from calib.identification.machine import Layout
 from calib.identification.parameters import Parameter, scales
 from calib.measurement.checks import Finding
+from calib.robot.terms import kind_of
 
 # Standard deviations of a stated prior by which what is found may be off. A scale is that of a board's print, which is
 # stated to half a percent and mostly right to two tenths.
@@ -36,6 +37,7 @@ _SURELY, _FARTHER = 1e-6, 1.5
 _PULL = 0.3
 _CODE, HARMLESS = "prior-contradicted", "prior-too-narrow"
 _OR_LEARNED = ', or write "learned"'
+_HOW_LARGE = ". State how large they may be, by error_model.prior"
 _MUCH = "; what the data do not tell is less certain than regions say."
 _LITTLE = "; predictions hardly depend on it, but the values of single parameters do."
 
@@ -43,13 +45,14 @@ _LITTLE = "; predictions hardly depend on it, but the values of single parameter
 class _Wrong(NamedTuple):
     """``what`` has a wrong prior, by whose standard deviation its parameters are ``off``, and a sentence.
 
-    ``pull``: by how many of their standard deviations predictions move without it.
+    ``pull``: by how many of their standard deviations predictions move without it. ``stated``: it is no weak one.
     """
 
     what: str
     off: float
     pull: float
     sentence: str
+    stated: bool
 
 
 def contradicted(fit: Fit, parts: Sequence[Stretch]) -> list[Finding]:
@@ -64,7 +67,8 @@ def contradicted(fit: Fit, parts: Sequence[Stretch]) -> list[Finding]:
     ]
     among = set(parts[0].columns.tolist()) if parts else set()
     judged = [_judged(fit, np.array(which), what, parts) for which, what in _stated_together(fit, among)]
-    wrong = sorted((one for one in judged if one is not None), key=lambda one: -one.off)
+    told = (one for one in judged if one is not None and (one.stated or one.pull >= _PULL))
+    wrong = sorted(told, key=lambda one: -one.off)
     if not wrong:
         return found
     # What one wrong prior holds back is taken up by others, too: that of the parameter that is farthest off is first.
@@ -96,29 +100,32 @@ def _of_camera(parameter: Parameter, value: float, sigma: float) -> str | None:
 def _stated_together(fit: Fit, among: AbstractSet[int]) -> Iterator[tuple[list[int], str]]:
     """Yield the numbers of the parameters of which something is stated alike, and what they are; only ``among`` these.
 
-    Of very many set-ups some are looked at.
+    Joint terms of which nothing is stated have a weak prior alike. Of very many set-ups some are looked at.
     """
-    alike = defaultdict[tuple[str, str, float | None], list[int]](list)
+    alike = defaultdict[tuple[str, str, bool, float | None], list[int]](list)
     for k, parameter in enumerate(fit.parameters):
-        if not parameter.is_stated or parameter.nuisance or k not in among:
+        weak = parameter.kind == "term" and parameter.prior is None and parameter.group is None
+        if not (parameter.is_stated or weak) or parameter.nuisance or k not in among:
             continue
         base = "the base" if parameter.name.count(".") == 1 else parameter.name.rpartition(".")[0]
         of = {"base": base, "term": "joint terms"}.get(parameter.kind, "the arm")
-        alike[of, parameter.unit, parameter.prior].append(k)
-    for (of, unit, _), which in alike.items():
+        alike[of, parameter.unit, weak, parameter.weak_prior if weak else parameter.prior].append(k)
+    for (of, unit, _, _), which in alike.items():
         yield which, {"m": f"lengths of {of}", "rad": f"angles of {of}"}.get(unit, f"{of} in {unit}")
 
 
 def _judged(fit: Fit, which: IntArray, what: str, parts: Sequence[Stretch]) -> _Wrong | None:
     """Return what is to be said of parameters with one prior; nothing where it is right."""
     parameters = [fit.parameters[k] for k in which]
-    prior = float(parameters[0].prior or np.inf)
+    stated = parameters[0].prior is not None
+    prior = float((parameters[0].prior if stated else parameters[0].weak_prior) or np.inf)
     off = np.array([_off(fit, int(k)) for k in which])
     C = fit.spread.of(which)
     said, directions = np.linalg.eigh(np.eye(len(which)) - C / prior**2)
     is_told = said > _SAID
     told = int(np.count_nonzero(is_told))
-    if not told:
+    # Weak priors weigh less where rows scatter less than is stated.
+    if not told or (not stated and float(said[0]) <= 0.0):
         return None
     square = float(np.sum((directions.T @ off / prior)[is_told] ** 2 / said[is_told]))
     # As far as it is noise that makes them scatter, and not the prior, it is known by so many numbers (Satterthwaite).
@@ -129,13 +136,24 @@ def _judged(fit: Fit, which: IntArray, what: str, parts: Sequence[Stretch]) -> _
         return None
     weight = np.linalg.solve(np.eye(len(which)) * prior**2 / (1.0 - farther**-2) - C, off)
     most, unit = int(np.argmax(np.abs(off))), parameters[0].unit
+    most_off = f"{parameters[most].name} most, by {with_unit(off[most], unit, '+')} and more"
     sentence = (
         f"The prior of {what} ({with_unit(prior, unit)}) is not what the data say: they show them "
-        f"{farther:.2g} times as far from what is stated, {parameters[most].name} most, by "
-        f"{with_unit(off[most], unit, '+')} and more, as the prior holds it back. State how far they may "
-        f"really be{_OR_LEARNED if parameters[0].of_robot else ''}"
+        f"{farther:.2g} times as far from what is stated, {most_off}, as the prior holds it back. State how far they "
+        f"may really be{_OR_LEARNED if parameters[0].of_robot else ''}"
     )
-    return _Wrong(what, float(np.abs(off[most])) / prior, _pull(fit, which, weight, parts), sentence)
+    if not stated:
+        sentence = (
+            f"Nothing is stated of {what}, and they are expected to be {with_unit(prior, unit)} at most: the data show "
+            f"them {farther:.2g} times as far from zero, {most_off}, as this holds it back"
+            f"{_HOW_LARGE if _can_be_stated(fit, parameters[most]) else ''}"
+        )
+    return _Wrong(what, float(np.abs(off[most])) / prior, _pull(fit, which, weight, parts), sentence, stated)
+
+
+def _can_be_stated(fit: Fit, parameter: Parameter) -> bool:
+    """Return whether a job can state a prior of the coefficient of this joint term."""
+    return any(kind_of(term).priors for term in fit.model.robot.terms if term.name == parameter.name)
 
 
 def _off(fit: Fit, k: int) -> float:

@@ -137,3 +137,30 @@ def test_of_a_base_among_many_set_ups_it_is_said() -> None:
     model = calib.error_model(robot, offsets="all", placements="all", known=calib.Known(setups=setups))
     (found,) = said_of(calib.identify(model, sets))
     assert found.sentence.startswith("The prior of lengths of base.s4 (2 mm) is not what the data say: ")
+
+
+def wave(size: float, stated: float | None = None) -> list[Finding]:
+    """What is said of a joint that wobbles by ``size`` rad, beside errors of few rows that hardly tell by how much."""
+    rng = np.random.default_rng(5)
+    robot = calib.load_robot(*UR5)
+    arm = machines.arm(*UR5).moved(rng)
+    machine = machines.Machine(arm, machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))})
+    readings = rng.uniform(-2.0, 2.0, (25, 6))
+    stands = readings.copy()
+    stands[:, 4] += size * np.cos(2.0 * readings[:, 4])
+    points = machine.see(stands)[:, :3, 3] + rng.normal(0.0, 1e-4, (25, 3))
+    data = calib.positions(robot, readings, points, sigma=1e-4)
+    terms = {"harmonics": ["wrist_2_joint"], "harmonic_orders": (2,)}
+    model = calib.error_model(
+        robot, offsets="all", placements="all", terms=terms, priors=calib.Priors(harmonics=stated)
+    )
+    return said_of(calib.identify(model, data))
+
+
+def test_what_weak_priors_of_joint_terms_hold_back_is_said() -> None:
+    (said,) = wave(3e-2)
+    assert said.code == "prior-contradicted"
+    assert "Nothing is stated of angles of joint terms" in said.sentence and "wrist_2_joint.cos_2 most" in said.sentence
+    assert "by error_model.prior" in said.sentence
+    assert not wave(3e-2, stated=5e-2)
+    assert not wave(5e-4)
