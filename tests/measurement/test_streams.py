@@ -1,5 +1,6 @@
 """Streams: joint readings between samples, gaps, clocks without a guess, poses at rest, and what is refused."""
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -18,7 +19,7 @@ from calib.identification.machine import values_at
 from calib.measurement.read import stream_of
 from calib.measurement.streams import lags
 from calib.measurement.streams.samples import joint_stream, refuse_no_stream
-from calib.measurement.streams.sides import sides
+from calib.measurement.streams.sides import _between, sides
 from calib.measurement.table import table_from_arrays
 from calib.measuring import Clock, at_rest
 from tests.support import machines, streams
@@ -540,3 +541,14 @@ def test_a_tip_on_the_axis_of_its_joint_shows_the_clock_by_what_it_carries() -> 
         found = lags.clock_lag(seen, moved, 37.0, 0.1)
         assert found.offset == pytest.approx(6.7, abs=1e-3)
         assert abs(found.skew) < 1e-4
+
+
+def test_sides_of_a_joint_that_goes_to_and_fro_within_a_gap_take_no_longer_than_others() -> None:
+    """All samples since a joint came to its flank were looked through whenever it left it: a second became minutes."""
+    n = 1_000_000
+    ahead = np.concatenate([np.linspace(0.0, 0.1, n // 20), np.full(n - n // 20, 0.1)])
+    q = ahead + 5e-4 * np.sin(0.1 * np.arange(n))
+    before = time.process_time()
+    between = _between(q, np.gradient(q), np.array([100]), np.array([0.0, 1.0]), 1e-5, 5e-4)
+    assert time.process_time() - before < 3.0
+    assert between[n // 10 :].mean() > 0.8

@@ -80,8 +80,8 @@ def _between(q: Array, steps: Array, arrived: IntArray, side: Array, jitter: flo
         again = np.append(there[1:], len(ahead))
         gone = np.maximum.reduceat(back, there) > near
         gone[-1] |= end in turned or again[-1] > there[-1] + 1
+        goes_on = way * steps[start : end + 1] >= 0.0
+        left = np.maximum.accumulate(np.where(goes_on, np.arange(len(ahead)), 0))[there]
         for i in np.flatnonzero(gone).tolist():
-            on = np.flatnonzero(way * steps[start : start + int(there[i]) + 1] >= 0.0)
-            left = start + (int(on[-1]) if len(on) else 0)
-            found[left + 1 : start + int(again[i])] = True
+            found[start + int(left[i]) + 1 : start + int(again[i])] = True
     return found
