@@ -63,6 +63,7 @@ def verify(
         from calib.presentation.acceptance_tables import verification_lines, verification_sheet
         from calib.presentation.console import warning
         from calib.results.result_file import doubts_of
+        from calib.robot.transmission import sided
     with telling.progress(steps=2) as say:
         say("reading the model and the measurements")
         machine = load_machine(results).at(setup)
@@ -97,7 +98,7 @@ def verify(
             ) from e
         # Else a wrong unit would be told as an arm that has changed.
         refuse_findings(table_findings(data, machine.robot.readings, machine.robot.reach))
-        left_out = [finding.sentence for finding in unreached(data)]
+        left_out = [finding.sentence for finding in unreached(data, sided(machine.robot.terms))]
         doubts = [*doubts_of(results), *not_new(results, measurements)]
         say("judging")
         found = judged(

@@ -5,7 +5,7 @@ below with their reasons; all are far from what real data show.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,7 +14,7 @@ import numpy as np
 from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DEG, MM
-from calib.foundations.words import counted
+from calib.foundations.words import counted, listed
 from calib.measurement.measurements import Measurements
 from calib.measurement.streams.stream import OFFSET
 from calib.robot.robot import Reading
@@ -92,16 +92,32 @@ def table_findings(measurements: Measurements, readings: Sequence[Reading], reac
     )
 
 
-def unreached(m: Measurements) -> tuple[Finding, ...]:
-    """Return a warning where ``in_order`` leaves out more rows of a table than the first one."""
-    if m.unreached < 2:
-        return ()
+def unreached(m: Measurements, sided: Collection[str] = ()) -> tuple[Finding, ...]:
+    """Return warnings where ``in_order`` leaves out more rows of a table than the first one, or leaves a side untold.
+
+    ``sided``: readings of which something follows the side.
+    """
+    found = []
     what = "rows" if m.other is None else "pairs"
-    sentence = (
-        f"{m.where}: in_order leaves out {m.unreached} {what}, before every joint has moved: nothing tells from which "
-        "side it was reached; begin with a motion of all joints."
-    )
-    return (Finding.warning("rows-left-out", sentence),)
+    if m.unreached > 1:
+        sentence = (
+            f"{m.where}: in_order leaves out {m.unreached} {what}, before every joint has moved: nothing tells from "
+            "which side it was reached; begin with a motion of all joints."
+        )
+        found.append(Finding.warning("rows-left-out", sentence))
+    sides = [end.conditions.approach for end in m.ends if end.conditions.approach is not None]
+    if m.unreached and sides:
+        untold = np.any([own == 0.0 for own in sides], axis=0) & np.isin(m.reading_names, list(sided))
+        names = [name for name, own in zip(m.reading_names, untold.T, strict=True) if own.any()]
+        if names:
+            many = np.count_nonzero(untold.any(axis=1))
+            sentence = (
+                f"{m.where}: in {many} of {len(m)} {what} nothing tells from which side {listed(names)} was reached: "
+                "it counts as in the middle, and half of its gap may then look like an offset, a base or a tool "
+                "that changed; begin with a motion of all joints."
+            )
+            found.append(Finding.warning("side-not-known", sentence))
+    return tuple(found)
 
 
 # ---- readings
@@ -298,11 +314,11 @@ def _repeated(m: Measurements) -> Iterable[Finding]:
     _, first = np.unique(rows, axis=0, return_index=True)
     again = m.lines[np.setdiff1d(np.arange(len(m)), first)]
     if again.size:
-        listed = ", ".join(map(str, again[:_LISTED])) + (", ..." if again.size > _LISTED else "")
+        lines = ", ".join(map(str, again[:_LISTED])) + (", ..." if again.size > _LISTED else "")
         many = again.size >= _COPIED * len(m)
         yield Finding.warning(
             "copied-rows" if many else "repeated-row",
-            f"{m.where}: {again.size} of {len(m)} rows repeat an earlier one to the last digit, at line {listed}"
+            f"{m.where}: {again.size} of {len(m)} rows repeat an earlier one to the last digit, at line {lines}"
             + (": copies count as if they had been measured." if many else "."),
         )
 

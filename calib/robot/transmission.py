@@ -18,7 +18,7 @@ from calib.robot.flexures import Flexure, link_length
 from calib.robot.gravity import Holding
 from calib.robot.skeleton import Segment
 from calib.robot.terms import KINDS, NAMED, JointTerm, Kind, kind_of
-from calib.robot.terms.kind import Rows, Shares
+from calib.robot.terms.kind import SIDE, Rows, Shares
 
 # Names of terms that may need a condition; of a thousand candidates hardly any does.
 _NEEDING = frozenset(name for name, kind in NAMED.items() if kind.needs)
@@ -66,6 +66,11 @@ def lacking(terms: Iterable[JointTerm], readings: Sequence[str], conditions: Con
         if term.kind in _NEEDING and (column := kind_of(term).lacking(term, number.get(term.reading, 0), conditions)):
             return term.name, column
     return None
+
+
+def sided(terms: Iterable[JointTerm]) -> frozenset[str]:
+    """Return the readings with a term that follows the side from which they were reached."""
+    return frozenset(term.reading for term in terms if SIDE in kind_of(term).needs)
 
 
 class Bases(NamedTuple):

@@ -63,6 +63,28 @@ def test_rows_before_the_first_motion_are_told_once(tmp_path: Path) -> None:
     ]
 
 
+def test_joints_whose_side_nothing_tells_are_named_where_it_matters(tmp_path: Path) -> None:
+    """A joint that first moves late was taken for one whose offset had changed, and one that rests for a moved base."""
+    job = holding_out(tmp_path)
+    edit(JOB, (BEGIN, f"{BEGIN}in_order = true\n"))(tmp_path)
+    table = tmp_path / TABLE
+    head, *rows = [line for line in table.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    late = [",".join(["0.1", *row.split(",")[1:]]) for row in rows[:40]]
+    table.write_text("\n".join([head, *late, *rows[40:]]) + "\n", encoding="utf-8")
+    name = head.split(",")[0].split(" ")[0]
+
+    def told() -> list[str]:
+        return [finding.sentence for finding in load(job).findings if finding.code == "side-not-known"]
+
+    assert told() == []
+    edit(JOB, ('offsets = "all"', 'offsets = "all"\nbacklash = "all"'))(tmp_path)
+    assert told() == [
+        f"{table}: in 39 of 59 rows nothing tells from which side '{name}' was reached: it counts as in the middle, "
+        "and half of its gap may then look like an offset, a base or a tool that changed; begin with a motion of all "
+        "joints."
+    ]
+
+
 def test_what_a_joint_does_is_told_of_the_whole_table(tmp_path: Path) -> None:
     """A joint that moves in the rows to identify from, and stands still in the few that are held out."""
     job = holding_out(tmp_path)
