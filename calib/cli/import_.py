@@ -99,7 +99,7 @@ def import_(
         from calib.foundations.files import refuse_taken, write_new
         from calib.measurement.bodies import a_row_for_each_point
         from calib.measurement.formats.recordings import is_recording
-        from calib.measurement.formats.sheet import joined, read_sheet, stacked
+        from calib.measurement.formats.sheet import joined, read_sheet, refuse_words, stacked
     images = str(files[0]) == _IMAGES and len(files) > 1
     by, stack = arranged.by, arranged.stack
     if not images:
@@ -132,6 +132,7 @@ def import_(
     sheet = sheets[0] if stack is None else stacked(sheets, stack)
     for other in sheets[1:] if stack is None else ():
         sheet = joined(sheet, other, by)
+    refuse_words(sheet)
     if arranged.each_point:
         sheet = a_row_for_each_point(sheet)
     write_new(out, sheet.csv())

@@ -32,6 +32,8 @@ _BEHIND = (
     re.compile(r"(.+)([\u00b0\u00ba])"),
 )
 _SUFFIX = re.compile(r"(.+)[_\s]([^\W_]+)")
+# A name in quotes, and a cell without.
+_NAMED_BY_R = re.compile(r'\s*"(?:[^"]|"")*"[\s,;|]+[^"\s,;|]')
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,12 +107,15 @@ def layout(data: bytes, where: str) -> Layout:
 def _are_numbered_by_r(lines: Sequence[str], rows: Sequence[Sequence[str]], separator: str) -> bool:
     """Return whether a table is as ``write.table`` of R has it: quoted titles, and quoted names of rows before numbers.
 
-    Elsewhere a title that is missing may be any.
+    These are not quoted, no two rows have one name, and no row ends with an empty cell. Elsewhere a title that is
+    missing may be any.
     """
     if len(rows) < 2 or lines[0].count('"') != 2 * len(rows[0]) or any(is_number(cell, separator) for cell in rows[0]):
         return False
+    if len({row[0] for row in rows[1:]}) < len(rows) - 1:
+        return False
     return all(
-        len(row) == len(rows[0]) + 1 and line.lstrip().startswith('"') and is_number(row[1], separator)
+        len(row) == len(rows[0]) + 1 and row[-1] and _NAMED_BY_R.match(line) and is_number(row[1], separator)
         for line, row in zip(lines[1:], rows[1:], strict=True)
     )
 

@@ -91,7 +91,7 @@ def raw_table(data: bytes, where: str) -> RawTable:
     try:
         return _whole(data, where)
     except MeasurementError as e:
-        raise (of_lists(where) if are_in(data) else of_report(data, where) or e) from e
+        raise (of_lists(where) if are_in(data) else of_report(data, where, e)) from e
 
 
 def becomes_table(data: bytes, where: str) -> bool:

@@ -39,8 +39,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     [
         ("a.jbi", JOB.format("PULSE", "PULSE", POSITIONS), "job of Yaskawa, whose positions are pulses of the motors;"),
         ("a.jbi", JOB.format("ROBOT", "RECTAN", POSITIONS), "job of Yaskawa, whose positions are places of the tool"),
-        ("a.txt", "PART NAME : ARM\n\n" + DIMENSION.format(1) + DIMENSION.format(2), "a.txt:6: has a line for each"),
-        ("a.txt", POLYWORKS, "a.txt:4: has a line for each coordinate of a point, as reports of PC-DMIS and PolyWorks"),
+        (
+            "a.txt",
+            "PART NAME : ARM\n\n" + DIMENSION.format(1) + DIMENSION.format(2),
+            "; if this is a report with a line for each",
+        ),
+        ("a.txt", POLYWORKS, "each coordinate of a point, as of PC-DMIS and PolyWorks (from line 4 on), export the"),
     ],
     ids=["pulses", "places", "PC-DMIS", "PolyWorks"],
 )
@@ -58,6 +62,13 @@ def test_a_table_of_two_lines_of_coordinates_is_no_report(folder: Path) -> None:
     (folder / "joints.csv").write_text("J1,J2\n1,2\n3,4\n")
     said = run("import", "joints.csv", "a.csv", "-o", "b.csv")
     assert "rows belong together; a.csv has a row for each of X, Y and Z, and none for each point." in said.err
+
+
+def test_a_wrong_row_of_a_table_of_coordinates_is_named(folder: Path) -> None:
+    (folder / "a.csv").write_text("point,axis,value\n1,X,1\n1,Y,2\n1,Z\n" + "2,X,1\n2,Y,2\n2,Z,3\n" * 2)
+    for read in (read_sheet, lambda path: raw_table(Path(path).read_bytes(), path)):
+        with pytest.raises(calib.MeasurementError, match=r"^a\.csv:4: the header has 3 cells and this row has 2; if "):
+            read("a.csv")
 
 
 def test_a_packed_program_of_universal_robots_names_its_script(folder: Path) -> None:
@@ -106,8 +117,16 @@ def test_numbers_that_numpy_prints_with_their_kind_are_numbers(folder: Path) -> 
 def test_a_table_without_a_number_is_none(folder: Path) -> None:
     """The first line of such a log was its header, and the rows were words."""
     (folder / "a.txt").write_text("".join(f"[{k}] J1: 0.5 rad, J2: 2 rad | X: 1.5 m, Y: {k} m\n" for k in range(4)))
-    with pytest.raises(calib.MeasurementError, match=r"no cell is a number, and the first one is '\[1\] J1: 0\.5 rad"):
-        read_sheet("a.txt")
+    said = run("import", "a.txt", "-o", "b.csv")
+    assert said.code == 1 and not (folder / "b.csv").exists()
+    assert "no cell is a number, and the first one is '[1] J1: 0.5 rad" in said.err
+
+
+def test_a_table_of_words_names_rows_of_another_one(folder: Path) -> None:
+    (folder / "points.csv").write_text("name,x [mm]\nP1,1\nP2,2\n")
+    (folder / "sockets.csv").write_text("name,socket\nP2,left\nP1,right\n")
+    assert run("import", "points.csv", "sockets.csv", "-o", "b.csv").code == 0
+    assert (folder / "b.csv").read_text() == "name,x [mm],socket\nP1,1,right\nP2,2,left\n"
 
 
 def test_waypoints_of_two_kinds_are_told_apart_by_words_that_the_message_names(folder: Path) -> None:
@@ -130,6 +149,11 @@ def test_a_struct_of_matlab_is_named(folder: Path) -> None:
     savemat(folder / "a.mat", {"data": {"q": np.ones((5, 6)), "p": np.ones((5, 3))}})
     with pytest.raises(calib.MeasurementError, match=r"writetable\(struct2table\(data\), 'data\.csv'\)"):
         read_sheet("a.mat")
+    # Neither a rate nor the matrix of a camera is what was measured.
+    for beside in ({"fs": 100.0}, {"K": np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]])}):
+        savemat(folder / "a.mat", {"data": {"q": np.ones((5, 6))}, **beside})
+        with pytest.raises(calib.MeasurementError, match="'data' is a struct of MATLAB, and not read"):
+            read_sheet("a.mat")
 
 
 def test_arrays_with_a_column_for_every_measurement_are_turned(folder: Path) -> None:
@@ -145,6 +169,9 @@ def test_arrays_with_a_column_for_every_measurement_are_turned(folder: Path) -> 
     assert len(read_sheet("c.npz").rows) == 6
     np.savez(folder / "d.npz", a=np.ones((20, 30)), b=np.ones((20, 30)))
     assert len(read_sheet("d.npz").rows) == 20
+    # Limits and offsets of joints are none of what was measured.
+    np.savez(folder / "e.npz", q=s.readings, p=s.position, limits=np.ones((2, 6)), home=np.ones(6), offset=np.ones(6))
+    assert read_sheet("e.npz").titles == (*(f"q_{k}" for k in range(6)), "p_x", "p_y", "p_z")
 
 
 @pytest.mark.parametrize("separator", [" ", ";"])
@@ -163,6 +190,14 @@ def test_names_of_rows_that_r_writes_have_no_title(folder: Path, separator: str)
     (folder / "b.csv").write_text("\n".join([head.removeprefix(separator), *rows]).replace('"', "") + "\n")
     with pytest.raises(calib.MeasurementError, match=r"9 cells and this row has 10; a title is missing, which R "):
         read_sheet("b.csv")
+
+
+@pytest.mark.parametrize("row", ['"{0}","{0}","ok",', '"{0}","{0}","{0}","ok"', '"a",{0},{0},"ok"'])
+def test_quoted_cells_are_no_names_of_rows(folder: Path, row: str) -> None:
+    """A separator at the end of each row, or a title that is missing elsewhere: R does not write these."""
+    (folder / "a.csv").write_text("\n".join(['"J1","x","note"', *(row.format(k) for k in range(3))]) + "\n")
+    with pytest.raises(calib.MeasurementError, match="the header has 3 cells and this row has 4"):
+        read_sheet("a.csv")
 
 
 def test_the_number_in_a_title_is_no_unit_beside_a_line_of_units(folder: Path) -> None:

@@ -96,13 +96,15 @@ def from_mat(data: bytes, where: str) -> Rows:
         if array.dtype.kind in "iuf" and array.ndim in (2, 3) and array.size:
             arrays[name] = np.moveaxis(array, 2, 0) if array.ndim == 3 else array.ravel() if 1 in array.shape else array
     structs = [name for name, _, kind in held if kind == "struct"]
-    if structs and not arrays and not objects:
+    # A rate, or the matrix of a camera, beside these is not what was measured.
+    has_rows = any(array.size > 1 for array in arrays.values()) and not _only_a_lens(arrays)
+    if structs and not has_rows and not objects:
         raise MeasurementError(
             f"{where}: {listed(structs)} {noun(len(structs), 'is a struct', 'are structs')} of MATLAB, and not read; "
             f"write {noun(len(structs), 'it', 'each')} there as text: writetable(struct2table({structs[0]}), "
             f"'{structs[0]}.csv')."
         )
-    if objects and not arrays:
+    if objects and not has_rows:
         raise MeasurementError(
             f"{where}: {listed(objects)} {noun(len(objects), 'is an object', 'are objects')} of MATLAB, such as a "
             f"table, and not read; save {noun(len(objects), 'it', 'them')} there as matrices, as table2array makes "
@@ -197,7 +199,7 @@ def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[s
     columns = [column for name, array in taken.items() for column in _columns(name, array)]
     left = [name for name in names if name not in taken]
     what = "is no array" if len(left) == 1 else "are no arrays"
-    said = [f"the columns of {listed(turned)} are the rows"] if turned else []
+    said = [f"the columns of {listed(turned)} are the rows"] if turned and turned[0] in taken else []
     said += [f"{listed(left)} {what} of numbers or words with {counted(rows, 'row')}, and left out"] if left else []
     return [title for title, _ in columns], list(zip(*(cells for _, cells in columns), strict=True)), tuple(said)
 
@@ -208,14 +210,15 @@ def _upright(
     """Return arrays with a row for every measurement, and the names of those that had a column for each.
 
     As of readings (6, N) beside points (3, N), or times (N,): more arrays have N rows then than matrices are as long as
-    they are, and none of these has N already.
+    they are, none of these has N already, or more: limits (2, 6) of joints are not turned beside readings (N, 6).
     """
-    most = max(Counter(len(array) for array in arrays.values() if array.ndim > 1).values(), default=0)
+    lengths = Counter(len(array) for array in arrays.values() if array.ndim > 1)
+    most, longest = max(lengths.values(), default=0), max(lengths, default=0)
     wide = {name: array.shape[1] for name, array in arrays.items() if array.ndim == 2 and array.shape[1] > len(array)}
     for count in dict.fromkeys(wide.values()):
         lying = [name for name, own in wide.items() if own == count]
         beside = [array for array in arrays.values() if len(array) == count]
-        if all(array.ndim != 2 for array in beside) and len(lying) + len(beside) > most:
+        if count >= longest and all(array.ndim != 2 for array in beside) and len(lying) + len(beside) > most:
             return {name: array.T if name in lying else array for name, array in arrays.items()}, lying
     return arrays, []
 

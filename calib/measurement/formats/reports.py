@@ -17,23 +17,25 @@ _POINTS = 2
 _LOOKED_AT = 200
 
 
-def of_report(data: bytes, where: str) -> MeasurementError | None:
-    """Return what to raise for a text that is no table and is known; None for others.
+def of_report(data: bytes, where: str, refused: MeasurementError) -> MeasurementError:
+    """Return what to raise for a text that was refused as a table: what it is, where that is known.
 
-    A job of Yaskawa, and reports with a line for each coordinate of a point, as of PC-DMIS and PolyWorks.
+    A job of Yaskawa, and what may be a report with a line for each coordinate of a point, as of PC-DMIS and PolyWorks:
+    a table may have a row for each as well, one of which is wrong.
     """
     try:
         first = beginning(data, where)[:_LOOKED_AT]
     except MeasurementError:
-        return None
+        return refused
     if first and first[0].text.strip() == "/JOB":
         return MeasurementError(f"{where}: is a job of Yaskawa{_of_job(first)}.")
-    if (line := _by_coordinates(first)) is not None:
-        return MeasurementError(
-            f"{where}:{line}: has a line for each coordinate of a point, as reports of PC-DMIS and PolyWorks; export "
-            "the points there as a table, in which each has one row with its measured X, Y and Z."
-        )
-    return None
+    if (line := _by_coordinates(first)) is None:
+        return refused
+    return MeasurementError(
+        f"{str(refused).removesuffix('.')}; if this is a report with a line for each coordinate of a point, as of "
+        f"PC-DMIS and PolyWorks (from line {line} on), export the points there as a table, in which each has one row "
+        "with its measured X, Y and Z."
+    )
 
 
 def _of_job(first: Sequence[Line]) -> str:

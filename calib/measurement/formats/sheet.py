@@ -87,9 +87,9 @@ def read_sheet(path: str | Path, part: str | None = None) -> Sheet:
     reader = readers.get(path.suffix.lower())
     if reader is None:
         try:
-            return _checked(_of_log(data, where, part) or _with_numbers(_of_text(data, where, part)), data)
+            return _checked(_of_log(data, where, part) or _of_text(data, where, part), data)
         except MeasurementError as e:
-            raise of_report(in_bytes(data, where), where) or e from e
+            raise of_report(in_bytes(data, where), where, e) from e
     titles, rows, said = reader(data, where)
     if not rows or not titles:
         raise MeasurementError(f"{where}: has no rows.")
@@ -171,14 +171,6 @@ def _of_text(data: bytes, where: str, part: str | None) -> Sheet:
     return _with_names_of_log(sheet)
 
 
-def _with_numbers(sheet: Sheet) -> Sheet:
-    """Return a sheet; raise MeasurementError where no cell is a number, as where lines of a log were taken for rows."""
-    if any(is_number(cell, ";") for row in sheet.rows for cell in row):
-        return sheet
-    first = next(filter(None, sheet.rows[0]), "")
-    raise MeasurementError(f"{sheet.where}: no cell is a number, and the first one is {shown(first)}; is it a table?")
-
-
 def _is_whole(sheet: Sheet) -> bool:
     """Return whether a table has not torn lists apart, nor taken the first one for its header."""
     if any(any(map(statements.opens_list, row)) or statements.are_torn(row) for row in sheet.rows):
@@ -198,6 +190,18 @@ def _of_table(data: bytes, where: str) -> Sheet:
     if not rows:
         raise MeasurementError(f"{where}: has a header and no rows.")
     return Sheet(tuple(titles), tuple(rows), where, form.remarks)
+
+
+def refuse_words(sheet: Sheet) -> None:
+    """Raise MeasurementError where no cell is a number, as where lines of a log were taken for rows.
+
+    A sheet of words alone may name the rows of another one that it is joined with.
+    """
+    if not any(is_number(cell, ";") for row in sheet.rows for cell in row):
+        first = next(filter(None, sheet.rows[0]), "")
+        raise MeasurementError(
+            f"{sheet.where}: no cell is a number, and the first one is {shown(first)}; is it a table?"
+        )
 
 
 def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
