@@ -66,6 +66,7 @@ roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}
 def test_names_as_the_example_of_opencv_writes_them(tmp_path: Path) -> None:
     text = ROS.replace("camera_matrix", "Camera_Matrix").replace("distortion_coeff", "Distortion_Coeff")
     assert read(tmp_path, text) == (LENS, (1280, 720))
+    assert read(tmp_path, text.replace("image_w", "image_W").replace("image_h", "image_H")) == (LENS, (1280, 720))
 
 
 def test_numbers_as_cpp_writes_them_are_no_texts(tmp_path: Path) -> None:

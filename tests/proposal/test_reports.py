@@ -172,6 +172,9 @@ def test_arrays_with_a_column_for_every_measurement_are_turned(folder: Path) -> 
     # Limits and offsets of joints are none of what was measured.
     np.savez(folder / "e.npz", q=s.readings, p=s.position, limits=np.ones((2, 6)), home=np.ones(6), offset=np.ones(6))
     assert read_sheet("e.npz").titles == (*(f"q_{k}" for k in range(6)), "p_x", "p_y", "p_z")
+    # Each of two runs has fewer rows than columns.
+    np.savez(folder / "f.npz", first=np.ones((8, 9)), second=np.ones((5, 9)))
+    assert len(read_sheet("f.npz").rows) == 8
 
 
 @pytest.mark.parametrize("separator", [" ", ";"])

@@ -210,15 +210,17 @@ def _upright(
     """Return arrays with a row for every measurement, and the names of those that had a column for each.
 
     As of readings (6, N) beside points (3, N), or times (N,): more arrays have N rows then than matrices are as long as
-    they are, none of these has N already, or more: limits (2, 6) of joints are not turned beside readings (N, 6).
+    they are, none of these has N already, and N is twice as long as any other or more. Limits (2, 6) of joints are not
+    turned beside readings (N, 6), nor a few rows for each of two runs, nor images.
     """
     lengths = Counter(len(array) for array in arrays.values() if array.ndim > 1)
-    most, longest = max(lengths.values(), default=0), max(lengths, default=0)
+    most = max(lengths.values(), default=0)
     wide = {name: array.shape[1] for name, array in arrays.items() if array.ndim == 2 and array.shape[1] > len(array)}
     for count in dict.fromkeys(wide.values()):
         lying = [name for name, own in wide.items() if own == count]
         beside = [array for array in arrays.values() if len(array) == count]
-        if count >= longest and all(array.ndim != 2 for array in beside) and len(lying) + len(beside) > most:
+        longest = max(length for length in lengths if length != count)
+        if count >= 2 * longest and all(array.ndim != 2 for array in beside) and len(lying) + len(beside) > most:
             return {name: array.T if name in lying else array for name, array in arrays.items()}, lying
     return arrays, []
 

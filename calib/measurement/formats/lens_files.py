@@ -34,7 +34,7 @@ _BENT = (
 # How many numbers of distortion OpenCV has; none where a lens has none.
 _COUNTS = (0, 4, 5, 8, 12, 14)
 # In the order of precedence: width and height of images.
-_SIDES = (("image_width", "image_height"), ("width", "height"))
+_SIDES = (("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height"))
 _MODELS = {"plumb_bob": BENT, "rational_polynomial": (*BENT, *RATIONAL), "radtan": BENT[:4]}
 
 
