@@ -210,11 +210,11 @@ def test_nothing_is_written_over_and_nothing_where_something_is_asked(folder: Pa
 
 def test_cells_that_are_no_numbers_and_columns_without_a_name_are_told(folder: Path) -> None:
     titles = [f"{joint}_joint [rad]" for joint in UR10_JOINTS] + ["x [mm]", "y [mm]", "z [mm]"]
-    row = ",".join(["\u22120.5"] * len(titles))
+    row = ",".join(["\u20130.5"] * len(titles))
     (folder / "a.csv").write_text("\n".join([",".join(titles), row, row]), encoding="utf-8")
     assert run("init", UR10, "a.csv", "-y") == (
         *(1, ""),
-        "Error: a.csv: column 'shoulder_pan_joint [rad]' is of a joint, and '\u22120.5' in it is no number, like "
+        "Error: a.csv: column 'shoulder_pan_joint [rad]' is of a joint, and '\u20130.5' in it is no number, like "
         "12.5 or 1.25e1.\n",
     )
     # One cell of many, in whichever joint: the rest is not taken for a shorter arm.
