@@ -5,6 +5,10 @@ fit. So its sum of squares in those directions in which the data say something i
 parameter, a prior that is too narrow does little harm. So it is made as wide as the data say, S f^2 for all its
 parameters g, and counts where this moves what is predicted: by C_g (S / (1 - f^-2) - C_gg)^-1 x_g, as where the fit is
 linear. Else it is only told, for how parameters share what the data do not tell apart is as sure as the prior.
+
+Joint terms that are far larger than their typical size leave so much that they seem to be known no better than their
+weak priors: they belong to the null space then, stay at zero, and go on leaving it. So it is asked what they would be
+if nothing held them.
 """
 
 from collections import defaultdict
@@ -15,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.assessment.checks.of_arm import is_stated_scale
+from calib.assessment.effects import asked
 from calib.assessment.stretches import Stretch
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray
@@ -35,6 +40,8 @@ _SAID = 0.1
 _SURELY, _FARTHER = 1e-6, 1.5
 # Standard deviations of what is predicted at the poses of the fit. With less, nine of ten regions hold the truth.
 _PULL = 0.3
+# What terms in the null space would leave of the squares of the rows, at most: most of what is left is theirs.
+_LEFT = 0.25
 _CODE, HARMLESS = "prior-contradicted", "prior-too-narrow"
 _OR_LEARNED = ', or write "learned"'
 _HOW_LARGE = ". State how large they may be, by error_model.prior"
@@ -67,6 +74,7 @@ def contradicted(fit: Fit, parts: Sequence[Stretch]) -> list[Finding]:
     ]
     among = set(parts[0].columns.tolist()) if parts else set()
     judged = [_judged(fit, np.array(which), what, parts) for which, what in _stated_together(fit, among)]
+    judged.append(_in_null_space(fit, among, parts))
     told = (one for one in judged if one is not None and (one.stated or one.pull >= _PULL))
     wrong = sorted(told, key=lambda one: -one.off)
     if not wrong:
@@ -100,18 +108,27 @@ def _of_camera(parameter: Parameter, value: float, sigma: float) -> str | None:
 def _stated_together(fit: Fit, among: AbstractSet[int]) -> Iterator[tuple[list[int], str]]:
     """Yield the numbers of the parameters of which something is stated alike, and what they are; only ``among`` these.
 
-    Joint terms of which nothing is stated have a weak prior alike. Of very many set-ups some are looked at.
+    Joint terms of which nothing is stated have a weak prior alike, but for those in the null space. Of very many
+    set-ups some are looked at.
     """
     alike = defaultdict[tuple[str, str, bool, float | None], list[int]](list)
     for k, parameter in enumerate(fit.parameters):
-        weak = parameter.kind == "term" and parameter.prior is None and parameter.group is None
+        weak = _is_weak_term(parameter) and not fit.unidentifiable[k]
         if not (parameter.is_stated or weak) or parameter.nuisance or k not in among:
             continue
         base = "the base" if parameter.name.count(".") == 1 else parameter.name.rpartition(".")[0]
         of = {"base": base, "term": "joint terms"}.get(parameter.kind, "the arm")
         alike[of, parameter.unit, weak, parameter.weak_prior if weak else parameter.prior].append(k)
     for (of, unit, _, _), which in alike.items():
-        yield which, {"m": f"lengths of {of}", "rad": f"angles of {of}"}.get(unit, f"{of} in {unit}")
+        yield which, _named(of, unit)
+
+
+def _named(of: str, unit: str) -> str:
+    return {"m": f"lengths of {of}", "rad": f"angles of {of}"}.get(unit, f"{of} in {unit}")
+
+
+def _is_weak_term(parameter: Parameter) -> bool:
+    return parameter.kind == "term" and parameter.prior is None and parameter.group is None
 
 
 def _judged(fit: Fit, which: IntArray, what: str, parts: Sequence[Stretch]) -> _Wrong | None:
@@ -143,12 +160,51 @@ def _judged(fit: Fit, which: IntArray, what: str, parts: Sequence[Stretch]) -> _
         f"may really be{_OR_LEARNED if parameters[0].of_robot else ''}"
     )
     if not stated:
-        sentence = (
-            f"Nothing is stated of {what}, and they are expected to be {with_unit(prior, unit)} at most: the data show "
-            f"them {farther:.2g} times as far from zero, {most_off}, as this holds it back"
-            f"{_HOW_LARGE if _can_be_stated(fit, parameters[most]) else ''}"
-        )
-    return _Wrong(what, float(np.abs(off[most])) / prior, _pull(fit, which, weight, parts), sentence, stated)
+        sentence = _held_by_weak(fit, which, what, off, farther)
+    own, C = _scaled(fit, which, parts)
+    step = C[:, own] @ (weight * scales(fit.parameters)[which])
+    return _Wrong(what, float(np.abs(off[most])) / prior, _pull(step, C, parts), sentence, stated)
+
+
+def _in_null_space(fit: Fit, among: AbstractSet[int], parts: Sequence[Stretch]) -> _Wrong | None:
+    """Return what is to be said of joint terms that are not determined, if they explain what is left, and are large."""
+    every = [k for k in sorted(among) if _is_weak_term(fit.parameters[k]) and fit.unidentifiable[k]]
+    if not every:
+        return None
+    own, C = _scaled(fit, np.array(every), parts)
+    # Beside them, all others are as free as without them.
+    rest = np.setdiff1d(np.arange(len(C)), own)
+    hold = np.array([fit.parameters[k].hold for k in parts[0].columns[rest]])
+    known = np.sum([np.tensordot(part.J, part.J, ((0, 1), (0, 1))) for part in parts], axis=0)[np.ix_(rest, rest)]
+    free = np.zeros_like(C)
+    free[np.ix_(rest, rest)] = np.linalg.pinv(known + np.diag(hold**2), hermitian=True)
+    ask = asked(parts, [part.J[:, :, own] for part in parts], free)
+    off = ask.sizes * scales(fit.parameters)[every]
+    priors = np.array([fit.parameters[k].weak_prior for k in every])
+    most = fit.parameters[every[int(np.argmax(np.abs(off) / priors))]]
+    alike = np.array(
+        [(q.unit, q.weak_prior) == (most.unit, most.weak_prior) for q in (fit.parameters[k] for k in every)]
+    )
+    farther = float(np.sqrt(np.mean(off[alike] ** 2))) / most.weak_prior
+    if farther < _FARTHER or ask.chance > _SURELY or ask.left > _LEFT:
+        return None
+    step = ask.follows.copy()
+    step[own] += ask.sizes
+    what = _named("joint terms", most.unit)
+    sentence = _held_by_weak(fit, np.array(every)[alike], what, off[alike], farther)
+    return _Wrong(what, float(np.max(np.abs(off) / priors)), _pull(step, C, parts), sentence, False)
+
+
+def _held_by_weak(fit: Fit, which: IntArray, what: str, off: Array, farther: float) -> str:
+    """Return what is said of joint terms that are off zero by ``off`` (k,), ``farther`` than their weak prior."""
+    most = int(np.argmax(np.abs(off)))
+    parameter = fit.parameters[which[most]]
+    return (
+        f"Nothing is stated of {what}, and they are expected to be {with_unit(parameter.weak_prior, parameter.unit)} "
+        f"at most: the data show them {farther:.2g} times as far from zero, {parameter.name} most, by "
+        f"{with_unit(off[most], parameter.unit, '+')} and more, as this holds it back"
+        f"{_HOW_LARGE if _can_be_stated(fit, parameter) else ''}"
+    )
 
 
 def _can_be_stated(fit: Fit, parameter: Parameter) -> bool:
@@ -169,13 +225,18 @@ def _off(fit: Fit, k: int) -> float:
     return float(np.concatenate(moved)[component])
 
 
-def _pull(fit: Fit, which: IntArray, weight: Array, parts: Sequence[Stretch]) -> float:
-    """Return by how many of their standard deviations what is predicted of the rows moves with C_g ``weight`` (k,)."""
+def _scaled(fit: Fit, which: IntArray, parts: Sequence[Stretch]) -> tuple[IntArray, Array]:
+    """Return the places (k,) of parameters among the columns of rows, and the covariance (c, c) of these, scaled."""
     columns = parts[0].columns
     units = scales(fit.parameters)[columns]
-    C = fit.spread.of(columns) / np.outer(units, units)
-    own = np.searchsorted(columns, which)
-    step = C[:, own] @ (weight * units[own])
+    return np.searchsorted(columns, which), fit.spread.of(columns) / np.outer(units, units)
+
+
+def _pull(step: Array, C: Array, parts: Sequence[Stretch]) -> float:
+    """Return by how many of their standard deviations what is predicted of the rows moves with ``step`` (c,), scaled.
+
+    ``C`` (c, c): the covariance of the columns of the rows, scaled.
+    """
     moved = sum(float(np.sum((part.J @ step) ** 2)) for part in parts)
     scatter = sum(float(np.einsum("ndk,kl,ndl->", part.J, C, part.J, optimize=True)) for part in parts)
     return float(np.sqrt(moved / scatter))

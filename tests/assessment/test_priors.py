@@ -139,16 +139,16 @@ def test_of_a_base_among_many_set_ups_it_is_said() -> None:
     assert found.sentence.startswith("The prior of lengths of base.s4 (2 mm) is not what the data say: ")
 
 
-def wave(size: float, stated: float | None = None) -> list[Finding]:
+def wave(size: float, stated: float | None = None, rows: int = 25) -> list[Finding]:
     """What is said of a joint that wobbles by ``size`` rad, beside errors of few rows that hardly tell by how much."""
     rng = np.random.default_rng(5)
     robot = calib.load_robot(*UR5)
     arm = machines.arm(*UR5).moved(rng)
     machine = machines.Machine(arm, machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))})
-    readings = rng.uniform(-2.0, 2.0, (25, 6))
+    readings = rng.uniform(-2.0, 2.0, (rows, 6))
     stands = readings.copy()
     stands[:, 4] += size * np.cos(2.0 * readings[:, 4])
-    points = machine.see(stands)[:, :3, 3] + rng.normal(0.0, 1e-4, (25, 3))
+    points = machine.see(stands)[:, :3, 3] + rng.normal(0.0, 1e-4, (rows, 3))
     data = calib.positions(robot, readings, points, sigma=1e-4)
     terms = {"harmonics": ["wrist_2_joint"], "harmonic_orders": (2,)}
     model = calib.error_model(
@@ -164,3 +164,12 @@ def test_what_weak_priors_of_joint_terms_hold_back_is_said() -> None:
     assert "by error_model.prior" in said.sentence
     assert not wave(3e-2, stated=5e-2)
     assert not wave(5e-4)
+
+
+def test_joint_terms_so_large_that_they_seem_undetermined_are_said() -> None:
+    """What a wave of some degrees leaves makes it less certain than its weak prior, so it stays at zero and is left."""
+    (said,) = wave(0.1, rows=16)
+    assert said.code == "prior-contradicted"
+    assert "they are expected to be 0.0573 deg at most" in said.sentence
+    assert "wrist_2_joint.cos_2 most, by +5." in said.sentence
+    assert not wave(0.1, stated=0.1, rows=16)
