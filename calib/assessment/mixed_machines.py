@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.assessment.effects import per_metre, score_test
+from calib.assessment.effects import per_metre
+from calib.assessment.scores import score_test
 from calib.assessment.stretches import Stretch, as_means, by_photograph
 from calib.foundations.arrays import Array
 from calib.foundations.linear import svd

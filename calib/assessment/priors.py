@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.assessment.checks.of_arm import is_stated_scale
-from calib.assessment.effects import asked
+from calib.assessment.scores import asked
 from calib.assessment.stretches import Stretch
 from calib.foundations import rigid
 from calib.foundations.arrays import Array, IntArray

@@ -18,8 +18,8 @@ import numpy as np
 
 from calib.assessment.causes import LEAST_LEFT
 from calib.assessment.checks.of_rows import RARELY
-from calib.assessment.effects import Asked, asked
 from calib.assessment.influence import Residue
+from calib.assessment.scores import Asked, asked
 from calib.assessment.stretches import Stretch, as_means
 from calib.foundations.arrays import Array
 from calib.foundations.units import MM

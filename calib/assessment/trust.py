@@ -12,23 +12,14 @@ import numpy as np
 
 from calib.assessment.backward import backward
 from calib.assessment.causes import LEAST_LEFT, Cause, causes
+from calib.assessment.changes import apart, drifts, elsewhere, steps
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
 from calib.assessment.checks.shown_range import shown_range
 from calib.assessment.control import doubt, names_of_mirrored, placed_elsewhere, unchecked
-from calib.assessment.effects import (
-    apart,
-    delay,
-    drifts,
-    elsewhere,
-    gains,
-    ratios,
-    rounding,
-    steps,
-    strains,
-    timing,
-    unsettled,
-)
+from calib.assessment.effects import gains, ratios
+from calib.assessment.in_time import delay, timing, unsettled
 from calib.assessment.influence import Residue
+from calib.assessment.instrument_errors import rounding, strains
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.mixed_machines import mixed_machines
 from calib.assessment.outliers import Outliers, outliers

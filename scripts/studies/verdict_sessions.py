@@ -25,7 +25,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import calib
-from calib.assessment.effects import delay
+from calib.assessment.in_time import delay
 from calib.assessment.influence import Residue
 from calib.assessment.stretches import stretches
 from calib.foundations.chance import bound

@@ -9,25 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.assessment.changes import LENGTHS, Step, _at_once, apart, drifts, steps
 from calib.assessment.checks import of_arm, of_errors, of_fit, of_rows
-from calib.assessment.effects import (
-    LENGTHS,
-    Step,
-    Timing,
-    _at_once,
-    apart,
-    delay,
-    drifts,
-    gains,
-    ratios,
-    rounding,
-    steps,
-    strains,
-    timing,
-    unsettled,
-)
+from calib.assessment.effects import gains, ratios
 from calib.assessment.gain import Gain, gain
+from calib.assessment.in_time import Timing, delay, timing, unsettled
 from calib.assessment.influence import Residue
+from calib.assessment.instrument_errors import rounding, strains
 from calib.assessment.judged import Check, JudgedSet
 from calib.assessment.stretches import pose_by_pose, stretches
 from calib.assessment.trust import remarks

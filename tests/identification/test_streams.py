@@ -7,7 +7,7 @@ import pytest
 
 import calib
 from calib.assessment.checks import of_rows
-from calib.assessment.effects import delay
+from calib.assessment.in_time import delay
 from calib.assessment.influence import Residue
 from calib.assessment.judged import Check
 from calib.assessment.stamps import stamps, step_of

@@ -4,8 +4,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from calib.assessment.changes import LENGTHS, Drift, Step
 from calib.assessment.checks.of_fit import OF_REACH, ROUNDING
-from calib.assessment.effects import LENGTHS, Drift, Effect, Rounding, Step, Strain, Timing
+from calib.assessment.effects import Effect
+from calib.assessment.in_time import Timing
+from calib.assessment.instrument_errors import Rounding, Strain
 from calib.assessment.judged import NOTHING, Check, JudgedSet
 from calib.assessment.metrics import error_norms
 from calib.assessment.mixed_machines import MixedMachines
