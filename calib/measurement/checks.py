@@ -106,7 +106,7 @@ def unreached(m: Measurements, sided: Collection[str] = ()) -> tuple[Finding, ..
         )
         found.append(Finding.warning("rows-left-out", sentence))
     sides = [end.conditions.approach for end in m.ends if end.conditions.approach is not None]
-    if m.unreached and sides:
+    if (m.unreached or m.stream is not None) and sides:
         untold = np.any([own == 0.0 for own in sides], axis=0) & np.isin(m.reading_names, list(sided))
         names = [name for name, own in zip(m.reading_names, untold.T, strict=True) if own.any()]
         if names:
@@ -114,7 +114,7 @@ def unreached(m: Measurements, sided: Collection[str] = ()) -> tuple[Finding, ..
             sentence = (
                 f"{m.where}: in {many} of {len(m)} {what} nothing tells from which side {listed(names)} was reached: "
                 "it counts as in the middle, and half of its gap may then look like an offset, a base or a tool "
-                "that changed; begin with a motion of all joints."
+                f"that changed; begin with a motion of all joints{'' if m.stream is None else ', and turn less often'}."
             )
             found.append(Finding.warning("side-not-known", sentence))
     return tuple(found)

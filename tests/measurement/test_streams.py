@@ -16,6 +16,7 @@ from calib.foundations.errors import CalibError
 from calib.identification import system
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import values_at
+from calib.measurement.checks import unreached
 from calib.measurement.read import stream_of
 from calib.measurement.streams import lags
 from calib.measurement.streams.samples import joint_stream, refuse_no_stream
@@ -552,3 +553,18 @@ def test_sides_of_a_joint_that_goes_to_and_fro_within_a_gap_take_no_longer_than_
     between = _between(q, np.gradient(q), np.array([100]), np.array([0.0, 1.0]), 1e-5, 5e-4)
     assert time.process_time() - before < 3.0
     assert between[n // 10 :].mean() > 0.8
+
+
+def test_joints_of_a_stream_that_first_move_late_are_named(made: Streams) -> None:
+    name = made.robot.readings[1].name
+    moved = made.joints[f"{name} [rad]"]
+    late = np.arange(len(moved)) < 0.7 * len(moved)
+    joints = made.joints | {f"{name} [rad]": np.where(late, moved[late][-1], moved)}
+    seen = made.seen | {"time [s]": made.recorded.true_times}
+    data = stream_of(seen, joints, made.robot, "position", clock="given", sigma=1e-4, in_order=True)
+    (found,) = unreached(data, {name})
+    many = np.count_nonzero(data.conditions.approach[:, 1] == 0.0)
+    assert 0.5 * len(data) < many < 0.8 * len(data)
+    assert f"in {many} of {len(data)} rows nothing tells from which side '{name}' was reached" in found.sentence
+    assert found.sentence.endswith("begin with a motion of all joints, and turn less often.")
+    assert unreached(data) == ()
