@@ -190,9 +190,14 @@ def test_a_lens_in_an_archive_is_no_pose(folder: Path) -> None:
         np.savez(f"{name}.npz", **arrays)
         code, _, said = run("import", f"{name}.npz", "-o", f"{name}.csv")
         assert (code, "is the matrix of a camera, with nothing that was measured beside it" in said) == (1, True)
-    for name, arrays in (("d", pose | {"mtx": K, "dist": bent}), ("e", {"R": np.eye(3), "t": np.ones((3, 1))})):
+    R = Rotation.from_rotvec([0.1, -0.4, 0.3]).as_matrix()
+    of_a_pose = ({"R": R, "t": np.ones((3, 1))}, {"R": R, "t": np.ones(3)}, {"R": R.astype(np.float32), "p": R[0]})
+    for name, arrays in zip("defg", (pose | {"mtx": K, "dist": bent}, *of_a_pose), strict=True):
         np.savez(f"{name}.npz", **arrays)
         assert "1 row" in run("import", f"{name}.npz", "-o", f"{name}.csv").out
+    # Three rows of a point and of something else.
+    np.savez("h.npz", p=R + 0.01, t=np.ones(3))
+    assert "3 rows" in run("import", "h.npz", "-o", "h.csv").out
 
 
 def test_vectors_in_archives_stand_lie_or_are_one_pose(folder: Path) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from calib.foundations import rigid
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
 from calib.foundations.words import counted, listed, noun, shown
@@ -32,6 +33,8 @@ _MOST_VALUES = 4_000_000
 _LARGEST_OF_RECORD, _LONGEST_STANDING = 16, 4
 # Beside the matrix of a camera: a figure, the size of an image, and the distortion as OpenCV has it.
 _OF_A_LENS = frozenset((1, 2, 4, 5, 8, 12, 14))
+# By how much a matrix that was stored in single precision is off a rotation.
+_AT_RIGHT_ANGLES = 1e-5
 # Focal lengths in px; a rotation has no element above 1.
 _SHORTEST = 2.0
 # Of MATLAB's kinds those that are matrices of numbers, and its mark of a packed element.
@@ -244,17 +247,25 @@ def _is_of_a_camera(array: npt.NDArray[np.generic]) -> bool:
 def _are_one_record(arrays: Collection[npt.NDArray[np.generic]]) -> bool:
     """Return whether small arrays are the vectors and matrices of one pose, and no columns.
 
-    They are if their lengths differ and no two share one that is longer than a quaternion; or if they are vectors that
-    stand (3, 1), as OpenCV has them, alone or beside matrices.
+    They are if their lengths differ and no two share one that is longer than a quaternion; if they are vectors that
+    stand (3, 1), as OpenCV has them, alone or beside matrices; or if one of them is the matrix of a rotation.
     """
     if not arrays or any(array.ndim > 2 or array.size > _LARGEST_OF_RECORD for array in arrays):
         return False
     lengths = Counter(map(len, arrays))
     if len(lengths) > 1:
         return all(count == 1 for length, count in lengths.items() if length > _LONGEST_STANDING)
+    if any(map(_is_rotation, arrays)):
+        return all(array.shape in ((3, 3), (3,), (3, 1)) for array in arrays)
     standing = [array for array in arrays if array.shape[1:] == (1,)]
     others = [array for array in arrays if array.shape[1:] != (1,)]
     return bool(standing) and max(lengths) in (3, 4) and all(array.shape[1:] in ((3,), (4,)) for array in others)
+
+
+def _is_rotation(array: npt.NDArray[np.generic]) -> bool:
+    """Return whether a matrix is that of a rotation: three rows of other columns are not at right angles by chance."""
+    numbers = array.shape == (3, 3) and array.dtype.kind in "iuf"
+    return numbers and bool(rigid.are_rotations(array[None].astype(np.float64), _AT_RIGHT_ANGLES)[0])
 
 
 def _as_record(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[str], where: str) -> Rows:
