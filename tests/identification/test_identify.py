@@ -270,7 +270,7 @@ def test_a_fit_tells_what_it_found() -> None:
     for record, sigma, unidentifiable in zip(records.values(), fit.sigmas, fit.unidentifiable, strict=True):
         assert record["identifiable"] is not unidentifiable
         assert (record["sigma"] is None) == unidentifiable == np.isnan(sigma)
-    with pytest.raises(KeyError):
+    with pytest.raises(calib.JobError, match=r"no parameter 'wrist_2_joint\.tq'; there are 'wrist_2_joint\.tz'"):
         fit.value("wrist_2_joint.tq")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.assessment import effects
+from calib.assessment import changes
 from calib.assessment.influence import Residue
 from calib.assessment.stretches import stretches
 from calib.foundations.errors import JobError, MeasurementError
@@ -356,11 +356,11 @@ def test_changes_in_the_course_of_many_rows_take_no_memory_of_their_own(cell: Ce
     rows = sum(part.J.nbytes for part in parts)
     made, _ = tracemalloc.get_traced_memory()
     tracemalloc.reset_peak()
-    found = effects._step_of("base", parts[0], parts[0].by_base, residue.C, 1)
+    found = changes._step_of("base", parts[0], parts[0].by_base, residue.C, 1)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert found is not None
     assert peak - made < rows
     Z, J, places = parts[0].by_base, parts[0].J, np.array([3, 50, 390])
     sums = np.cumsum(np.swapaxes(Z, 1, 2) @ J, axis=0)[places - 1]
-    np.testing.assert_allclose(effects._summed(Z, J, places), sums, rtol=1e-9, atol=1e-9 * np.abs(sums).max())
+    np.testing.assert_allclose(changes._summed(Z, J, places), sums, rtol=1e-9, atol=1e-9 * np.abs(sums).max())

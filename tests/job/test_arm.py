@@ -66,9 +66,10 @@ def test_what_a_table_says_of_the_touched_robot_is_not_lost(folder: Path) -> Non
     data = load(folder / JOB).identify[0]
     assert data.tip == "cradle"
     assert data.conditions.approach is not None
-    # But for the first row, which only says from where the second was reached.
-    assert len(data) == len(whole) - 1
-    assert np.array_equal(data.conditions.approach, in_order(whole.readings)[1:])
+    # But for the first rows, in which one joint moves alone: nothing says from where the other one was reached.
+    sides = in_order(whole.readings)
+    assert np.array_equal(data.conditions.approach, sides[np.all(sides != 0.0, axis=1)])
+    assert len(data) > 0.8 * len(whole)
 
 
 def test_pivot_finds_the_spike(folder: Path) -> None:
