@@ -155,13 +155,14 @@ def _judged(fit: Fit, which: IntArray, what: str, parts: Sequence[Stretch]) -> _
         return None
     weight = np.linalg.solve(np.eye(len(which)) * prior**2 / (1.0 - farther**-2) - C, off)
     most, unit = int(np.argmax(np.abs(off))), parameters[0].unit
-    most_off = f"{parameters[most].name} most, by {with_unit(off[most], unit, '+')} and more"
-    sentence = (
-        f"The prior of {what} ({with_unit(prior, unit)}) is not what the data say: they show them "
-        f"{farther:.2g} times as far from what is stated, {most_off}, as the prior holds it back. State how far they "
-        f"may really be{_OR_LEARNED if parameters[0].of_robot else ''}"
-    )
-    if not stated:
+    if stated:
+        sentence = (
+            f"The prior of {what} ({with_unit(prior, unit)}) is not what the data say: they show them "
+            f"{farther:.2g} times as far from what is stated, {parameters[most].name} most, by "
+            f"{with_unit(off[most], unit, '+')} and more, as the prior holds it back. State how far they may "
+            f"really be{_OR_LEARNED if parameters[0].of_robot else ''}"
+        )
+    else:
         sentence = _held_by_weak(fit, which, what, off, farther)
     own, C = _scaled(fit, which, parts)
     step = C[:, own] @ (weight * scales(fit.parameters)[which])

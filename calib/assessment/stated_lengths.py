@@ -89,7 +89,7 @@ class StatedNumbers:
             for ask, one in found
             if ask.chance * len(found) < RARELY
             and not (wrong and (ask.left > LEAST_LEFT**2 or not one.checked))
-            and np.sqrt(np.median(self._pull(ask.follows))) > _PULL
+            and np.sqrt(np.median(self._pull(self._moved(ask.follows)))) > _PULL
         ]
         if not sure:
             return []
@@ -164,9 +164,10 @@ class StatedNumbers:
         follows = -C @ np.sum([np.einsum("ndk,nd->k", part.J, D) for part, D in both], axis=0)
         squares = sum(float(np.sum(D**2)) + float(np.sum(D * (part.J @ follows))) for part, D in both)
         variance = 1.0 / (max(squares, 0.0) + 1.0 / _WEAK**2)
-        if not variance * np.median(self._pull(follows)) >= _TIMES**2 - 1.0:
+        moves = self._moved(follows)
+        if not variance * np.median(self._pull(moves)) >= _TIMES**2 - 1.0:
             return ""
-        far = float(np.sqrt(np.mean(np.sum(self._moved(follows) ** 2, axis=1))))
+        far = float(np.sqrt(np.mean(np.sum(moves**2, axis=1))))
         sigma = float(np.sqrt(variance))
         checked = f"rows check it to {sigma / MM:.2g} mm only" if sigma < 0.5 * _WEAK else "no row checks it"
         return (
@@ -176,12 +177,11 @@ class StatedNumbers:
 
     # ---- where tools are
 
-    def _pull(self, follows: Array) -> Array:
-        """Return the squares (n,) of how many standard deviations tools move, if parameters do by ``follows`` (k,).
+    def _pull(self, moves: Array) -> Array:
+        """Return the squares (n,) of how many standard deviations it is that tools move by ``moves`` (n, 3), in m.
 
         In the direction in which they move, which may be the only one that is known.
         """
-        moves = self._moved(follows)
         # An arm that moves in a plane has no error across it.
         certain = self._certain + _ROUNDING**2 * np.eye(3)
         return np.asarray(np.einsum("ni,ni->n", moves, np.linalg.solve(certain, moves[:, :, None])[:, :, 0]))

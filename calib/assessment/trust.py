@@ -94,7 +94,7 @@ def verdict(
             of_rows.axes(strains(poses, C)),
             of_rows.resolution(rounding(parts, fit.model.robot), fit),
         )
-        priors = contradicted(fit, parts)
+        priors, scale = contradicted(fit, parts), of_arm.common_scale(fit, parts)
         told = (
             of_fit.convergence(fit),
             of_errors.explained(fit, decisive),
@@ -113,7 +113,7 @@ def verdict(
             of_rows.frozen(own),
             of_rows.in_line(fit, own),
             of_arm.joints(fit, own),
-            of_arm.lengths(fit, parts),
+            of_arm.lengths(fit, scale),
             of_arm.tool_and_base(fit),
             of_arm.lens(fit),
         )
@@ -124,7 +124,7 @@ def verdict(
         alone = unchecked(residue, "tool")
         resting = stated.unchecked()
         if all(check.passed for check in every if check.name == "lengths"):
-            resting = (*resting, *of_arm.as_by_scale(fit, parts))
+            resting = (*resting, *of_arm.as_by_scale(fit, scale))
     harmless = (one.sentence for one in priors if one.code == HARMLESS)
     shown = (*shown_range(fit, own, held_out), *unshown(fit), *harmless, *resting, *(one.sentence for one in inexact))
     if alone:

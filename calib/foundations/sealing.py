@@ -49,7 +49,7 @@ def _with_arrays(of: Any) -> frozenset[str]:
 
 
 def _read_only(value: Any) -> Any:
-    """Return a value with read-only views of the arrays that it is, or has in its lists and mappings."""
+    """Return a value with read-only views of the arrays that it is, or has in its tuples and mappings."""
     if isinstance(value, np.ndarray):
         return read_only_view(value) if value.flags.writeable else value
     if isinstance(value, tuple):

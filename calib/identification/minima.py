@@ -34,7 +34,7 @@ def searched(
         problem, found, learned = _with_tools(problem, found, learned, x0, variances)
         problem, found, learned, alike = _behind(problem, found, learned, x0, variances)
     if found.freed:
-        problem = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
+        problem = _freed(problem)
     return problem, found, learned, alike
 
 
@@ -68,7 +68,7 @@ def _with_tools(
     before, after = _squares(problem, found.x, sigmas), [_squares(problem, end.x, sigmas) for end in ends]
     best = ends[int(np.argmin(after))]
     if _clearly_less(min(after), before):
-        freed = replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
+        freed = _freed(problem)
         for begin, near in ((x0, Near(best.x, best.noise.variances)), (best.x, None)):
             new, again, anew = solve_learning(freed, begin, variances, near)
             count += again.evaluations
@@ -77,6 +77,10 @@ def _with_tools(
         # It is known not to be the minimum.
         found = found._replace(converged=False)
     return problem, found._replace(evaluations=count), learned
+
+
+def _freed(problem: Problem) -> Problem:
+    return replace(problem, parameters=tuple(parameter.as_freed for parameter in problem.parameters))
 
 
 def _behind(

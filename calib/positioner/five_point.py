@@ -93,9 +93,11 @@ class FivePoint:
         B_P Rz(tilt) inv(B_P) B_R Rz(rotary) inv(B_R). Raises MeasurementError for readings that are not finite, or of
         shapes that do not go together.
         """
+        # What is no reading has a sentence of its own, which is a ValueError as well.
+        tilting, turning = _about_z(tilt), _about_z(rotary)
         with _going_together():
-            tilted = self.B_P @ _about_z(tilt) @ rigid.inverse(self.B_P)
-            return np.asarray(tilted @ self.B_R @ _about_z(rotary) @ rigid.inverse(self.B_R))
+            tilted = self.B_P @ tilting @ rigid.inverse(self.B_P)
+            return np.asarray(tilted @ self.B_R @ turning @ rigid.inverse(self.B_R))
 
     @checked
     def points(self, zero: npt.ArrayLike, tilt: npt.ArrayLike, rotary: npt.ArrayLike) -> Array:

@@ -901,7 +901,7 @@ def test_lengths_that_are_all_too_long(cell: Cell, factor: float, passed: bool) 
     longer = [replace(j, origin=lengthened(j.origin, factor)) for j in arm.joints]
     true = machines.Machine(replace(arm, joints=tuple(longer)), base, tools)
     fit = calib.identify(cell.model, true.measure(cell.robot, cell.draw(60), rng=cell.rng, sigma=5e-5))
-    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    check = of_arm.lengths(fit, of_arm.common_scale(fit, stretches(Residue.of(fit, {}))))
     assert check.statistic == pytest.approx(abs(factor - 1.0), rel=0.1)
     assert check.passed == passed
 
@@ -931,7 +931,7 @@ def test_lengths_of_a_scara_that_are_all_too_long(factor: float, passed: bool) -
     true = machines.Machine(made, machines.anywhere(rng), {"tool": machines.pose((0.05, 0.03, 0.12))})
     model = calib.error_model(robot, offsets="all", placements="all")
     fit = calib.identify(model, true.measure(robot, made.draw(rng, 60), rng=rng, sigma=5e-5))
-    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    check = of_arm.lengths(fit, of_arm.common_scale(fit, stretches(Residue.of(fit, {}))))
     assert check.statistic == pytest.approx(abs(factor - 1.0), abs=5e-3)
     assert check.passed == passed
 
@@ -953,7 +953,7 @@ def test_lengths_of_an_arm_of_millimetres_are_judged_by_its_size(factor: float, 
     true = machines.Machine(made, np.eye(4), {"tool": machines.pose((2e-4, 1e-4, 4e-4))})
     model = calib.error_model(robot, offsets="all", placements="all")
     fit = calib.identify(model, true.measure(robot, made.draw(rng, 60), rng=rng, sigma=1e-7))
-    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    check = of_arm.lengths(fit, of_arm.common_scale(fit, stretches(Residue.of(fit, {}))))
     assert check.statistic == pytest.approx(abs(factor - 1.0), abs=5e-3)
     assert check.passed == passed
 
@@ -973,7 +973,7 @@ def test_a_short_link_of_a_crane_is_no_share_of_all_lengths() -> None:
     true = machines.Machine(made, np.eye(4), {"tool": machines.pose((0.6, 0.4, 0.5))})
     model = calib.error_model(robot, offsets="all", placements="all")
     fit = calib.identify(model, true.measure(robot, made.draw(rng, 50), rng=rng, sigma=2e-4))
-    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    check = of_arm.lengths(fit, of_arm.common_scale(fit, stretches(Residue.of(fit, {}))))
     assert check.passed, check.sentence
 
 
@@ -987,7 +987,7 @@ def test_a_joint_that_is_far_beside_its_place_is_another_robot(cell: Cell, by: f
     ]
     true = machines.Machine(replace(arm, joints=tuple(off)), cell.machine.base, cell.machine.tools)
     fit = calib.identify(cell.model, true.measure(cell.robot, cell.draw(60), rng=cell.rng, sigma=5e-5))
-    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    check = of_arm.lengths(fit, of_arm.common_scale(fit, stretches(Residue.of(fit, {}))))
     assert check.passed == passed
     beside = "Joint 'wrist_2_joint' is 70 mm beside its place in the URDF: is it the URDF of this robot?"
     assert (check.sentence == beside) != passed
@@ -1001,7 +1001,7 @@ def test_a_known_distance_of_sockets_tells_the_share_of_all_lengths(factor: floa
     known = calib.Known(relations=[replace(right, value=factor * right.value)])
     model = calib.error_model(made.robot, offsets="all", placements="all", base="fixed", known=known)
     fit = calib.identify(model, made.sockets(25))
-    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    check = of_arm.lengths(fit, of_arm.common_scale(fit, stretches(Residue.of(fit, {}))))
     assert check.statistic == pytest.approx(abs(factor - 1.0), abs=5e-3)
     assert check.passed == (factor == 1.0)
 
@@ -1017,7 +1017,7 @@ def test_the_lengths_of_an_arm_tell_that_the_print_of_a_board_is_not_as_stated(f
     model = calib.error_model(robot, offsets="all", placements="all", base="fixed", tool="pose")
     fit = calib.identify(model, seen)
     assert "board.scale" in [parameter.name for parameter in fit.parameters]
-    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    check = of_arm.lengths(fit, of_arm.common_scale(fit, stretches(Residue.of(fit, {}))))
     assert check.statistic == pytest.approx(abs(factor - 1.0), abs=8e-3)
     assert check.passed == (factor == 1.0)
 
@@ -1039,7 +1039,7 @@ def test_a_share_of_lengths_that_hardly_move_the_tool_is_no_other_robot() -> Non
         made, tool = arm.moved(rng), {"tool": machines.pose((0.05, 0.03, 0.12))}
         true = machines.Machine(made, machines.anywhere(rng), tool)
         fit = calib.identify(model, true.measure(robot, made.draw(rng, 30), rng=rng, sigma=5e-5))
-        check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+        check = of_arm.lengths(fit, of_arm.common_scale(fit, stretches(Residue.of(fit, {}))))
         assert check.passed
         seen.append(check.sentence)
     assert "Little tells whether all links are longer than in the URDF." in seen
@@ -1052,7 +1052,7 @@ def test_of_distances_between_two_poses_a_share_of_lengths_is_judged_by_the_tool
     data = made.pairs(100)
     model = calib.error_model(made.robot, offsets="all", placements="all", base="fixed")
     fit = calib.identify(model, replace(data, value=factor * data.value))
-    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    check = of_arm.lengths(fit, of_arm.common_scale(fit, stretches(Residue.of(fit, {}))))
     assert check.passed == (factor == 1.0)
 
 
@@ -1070,15 +1070,14 @@ def test_of_a_ball_a_share_of_lengths_is_judged_by_the_tool(factor: float, arm: 
     data = made.sphere(100)
     model = calib.error_model(made.robot, offsets="all", placements="all", base="fixed")
     fit = calib.identify(model, replace(data, value=factor * data.value))
-    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    check = of_arm.lengths(fit, of_arm.common_scale(fit, stretches(Residue.of(fit, {}))))
     assert check.passed == (factor == 1.0)
 
 
-def test_lengths_that_nothing_tells_are_said_in_words(
-    cell: Cell, fit: calib.Fit, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(of_arm, "_common_scale", lambda *_: (float("nan"),) * 4)
-    assert of_arm.lengths(fit, ()).sentence == "Nothing tells whether all links are longer than in the URDF."
+def test_lengths_that_nothing_tells_are_said_in_words(fit: calib.Fit) -> None:
+    nothing = of_arm.common_scale(fit, ())
+    assert np.isnan(nothing).all()
+    assert of_arm.lengths(fit, nothing).sentence == "Nothing tells whether all links are longer than in the URDF."
 
 
 def test_a_tool_beyond_reach(fit: calib.Fit) -> None:

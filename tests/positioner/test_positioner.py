@@ -48,6 +48,10 @@ def test_readings_of_axes_that_are_none_are_sentences() -> None:
     ):
         with pytest.raises(calib.CalibError):
             slip()
+    with pytest.raises(calib.MeasurementError, match="must be finite numbers, in rad"):
+        found.motion(0.1, np.inf)
+    with pytest.raises(calib.MeasurementError, match="shapes that do not go together"):
+        found.motion([0.1, 0.2, 0.3], [0.1, 0.2])
 
 
 # ---- five points

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -74,17 +75,33 @@ def joints(fit: Fit, own: Sequence[JudgedSet]) -> Check:
     return Check.of("joints", least, REST, not still, said, least=True)
 
 
-def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
+class CommonScale(NamedTuple):
+    """By which ``share`` all links seem longer, with its standard error ``sigma``.
+
+    ``moves``: by how many m, rms, all of it would move the tool, per unit of the share. ``alike``: how much of what
+    lengths do to the tool the share explains, of 1. All are nan where nothing shows it.
+    """
+
+    share: float
+    sigma: float
+    moves: float
+    alike: float
+
+
+_NOT_SHOWN = CommonScale(NOTHING, NOTHING, NOTHING, NOTHING)
+
+
+def lengths(fit: Fit, of_all: CommonScale) -> Check:
     """Whether the links are about as long as the URDF says, all together and each by itself.
 
     A common scale is sought in what the deviations do to the tool, other parameters taking up what they can: where
     neighbouring joints move the tool alike, it says nothing how a length is shared between them.
     """
     numbers = {joint.name: k for k, joint in enumerate(fit.robot.chain)}
-    scaled, moved = _of_links(fit)
+    _, moved = _of_links(fit)
     free = {numbers[fit.parameters[p].name.rpartition(".")[0]] for p in np.flatnonzero(moved).tolist()}
     worst, link = _most_wrong(fit, sorted(free))
-    scale, sigma, moves, alike = _common_scale(fit, parts, scaled, moved)
+    scale, sigma, moves, alike = of_all
     most = LINK if alike < ALIKE and abs(scale) > SCALE else SCALE
     reach = fit.robot.reach
     scaled_least = min(max(SCALED, LEAST_SCALED * reach), MOST_SCALED * reach)
@@ -108,20 +125,19 @@ def lengths(fit: Fit, parts: Sequence[Stretch]) -> Check:
     return Check.of("lengths", abs(scale), most, True, said)
 
 
-def as_by_scale(fit: Fit, parts: Sequence[Stretch]) -> tuple[str, ...]:
+def as_by_scale(fit: Fit, of_all: CommonScale) -> tuple[str, ...]:
     """Return what a user should know where all links seem longer by one share, as by the scale of an instrument.
 
     Rows do not tell that from an arm that is so. The scale of a board that is stated with a prior is counted.
     """
     if any(map(is_stated_scale, fit.parameters)):
         return ()
-    scale, sigma, _, alike = _common_scale(fit, parts, *_of_links(fit))
-    if not (alike >= TOLD_ALIKE and abs(scale) > max(TOLD_SCALE, SURE * sigma)):
+    if not (of_all.alike >= TOLD_ALIKE and abs(of_all.share) > max(TOLD_SCALE, SURE * of_all.sigma)):
         return ()
     return (
-        f"All links seem {100.0 * scale:+.2g} % longer than in the URDF, alike, as they would by a wrong scale of the "
-        "instrument, or of lengths and places that are stated. If it is that, and not the arm, the tool is wrong by as "
-        "much, which regions do not count: measure a known length.",
+        f"All links seem {100.0 * of_all.share:+.2g} % longer than in the URDF, alike, as they would by a wrong scale "
+        "of the instrument, or of lengths and places that are stated. If it is that, and not the arm, the tool is "
+        "wrong by as much, which regions do not count: measure a known length.",
     )
 
 
@@ -165,19 +181,17 @@ def _in_mm(length: float) -> str:
     return f"{length / MM:+.0f} mm" if abs(length) >= 10.0 * MM else f"{length / MM:+.2g} mm"
 
 
-def _common_scale(
-    fit: Fit, parts: Sequence[Stretch], scaled: Array, moved: BoolArray
-) -> tuple[float, float, float, float]:
-    """Return by which share all links are longer, its standard error, and by how many m (rms) all of it moves the tool.
+def common_scale(fit: Fit, parts: Sequence[Stretch]) -> CommonScale:
+    """Return by which share all links of an arm seem longer than in its URDF.
 
-    Last, how much of what lengths do to the tool this share explains, of 1. Other parameters take up what they can:
-    where these are most of it, such as where joints slide, little is left that tells a share. A length known between
-    targets tells it as rows do; it moves what was touched by its own share. Balls and gauges tell it by a length that
-    is short beside the arm's: of these the tool itself is asked. Else a board whose scale is known nearly tells it:
-    :func:`_by_scales`. Nan where nothing shows it.
+    Other parameters take up what they can: where these are most of it, such as where joints slide, little is left that
+    tells a share. A length known between targets tells it as rows do; it moves what was touched by its own share. Balls
+    and gauges tell it by a length that is short beside the arm's: of these the tool itself is asked. Else a board whose
+    scale is known nearly tells it: :func:`_by_scales`.
     """
+    scaled, moved = _of_links(fit)
     if not moved.any() or not parts:
-        return (NOTHING,) * 4
+        return _NOT_SHOWN
     own = parts[0].columns
     known, sigmas = _known_lengths(fit)
     rows = Gathered(len(own))
@@ -195,7 +209,7 @@ def _common_scale(
     # From the root of a sum of squares over all rows to m, rms.
     per_row = 1.0 / (float(np.sqrt(sum(len(part.r) for part in parts))) * per_metre(parts))
     if share := _by_scales(R, values[:, 0] / units, [fit.parameters[k] for k in own]):
-        return *share, float(np.sqrt(every)) * per_row, 1.0
+        return CommonScale(*share, float(np.sqrt(every)) * per_row, 1.0)
     others = R[:, ~moved]
     held = [max(q.hold, 1.0 / PLAUSIBLE) if q.of_robot else q.hold for q in (fit.parameters[k] for k in own)]
     hold = np.array(held)[~moved]
@@ -204,7 +218,7 @@ def _common_scale(
     left = np.vstack([x - others @ taken, -hold[:, None] * taken])
     square = float(left[:, 1] @ left[:, 1])
     if square <= 1e-6 * every:
-        return (NOTHING,) * 4
+        return _NOT_SHOWN
     apart = known[:, own][:, moved] @ longer - known[:, own][:, ~moved] @ taken
     by_rows = float(np.sum(left[: len(x), 1] ** 2) - apart[:, 1] @ apart[:, 1])
     moves = float(np.sqrt(max(by_rows, 0.0))) * per_row
@@ -219,7 +233,7 @@ def _common_scale(
     alike = float(across**2 / (by_share * whole)) if whole > 0.0 and by_share > 0.0 else 0.0
     grown = float(left[:, 0] @ left[:, 1]) / square
     of_nominal = 1.0 - grown if grown < 1.0 else NOTHING
-    return grown / of_nominal, 1.0 / float(np.sqrt(square)) / of_nominal**2, moves, alike
+    return CommonScale(grown / of_nominal, 1.0 / float(np.sqrt(square)) / of_nominal**2, moves, alike)
 
 
 def _of_tool(fit: Fit, sets: Sequence[Measurements], directions: Array) -> Array:
