@@ -121,7 +121,7 @@ def test_much_noise_of_readings_is_no_gear(seed: int) -> None:
 def test_a_size_that_nothing_tells_is_not_told() -> None:
     """A machine that may grow does so by its own lengths: by the nominal ones all links seemed 100 % shorter."""
     fit = fitted(made := lab(1, noise=2e-3, arm=UR10), planes(made))
-    check = of_arm.lengths(fit, stretches(Residue.of(fit, {})))
+    check = of_arm.lengths(fit, of_arm.common_scale(fit, stretches(Residue.of(fit, {}))))
     assert check.passed
     assert "Nothing tells whether all links are longer" in check.sentence
 
