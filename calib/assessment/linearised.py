@@ -24,7 +24,7 @@ from calib.identification.fit import Fit
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
-from calib.identification.parameters import directions, scales
+from calib.identification.parameters import Parameter, directions, scales
 from calib.identification.system import related
 from calib.identification.weights import sigmas_of
 from calib.identification.widths import TOO_UNLIKE
@@ -127,7 +127,8 @@ class LinearisedSystem:
         # Widths that geometry has taught are held to; those of candidates, where learned, would need them all at once.
         known = {parameter.name: parameter.prior for parameter in geometric.parameters}
         parameters = tuple(
-            p if (prior := known.get(p.name, p.prior)) == p.prior else replace(p, prior=prior) for p in whole.parameters
+            _widest(p if (prior := known.get(p.name, p.prior)) == p.prior else replace(p, prior=prior))
+            for p in whole.parameters
         )
         self._problem = replace(whole, parameters=parameters, reference=frames, held=held, given_losses=given)
         # A stated prior pulls towards zero; a weak one holds at the geometric fit.
@@ -338,3 +339,13 @@ class LinearisedSystem:
                 rows_of[name] = rows_of.get(name, 0) + len(rows)
         rms = {name: np.sqrt(total / rows_of[name]) for name, total in sums.items()}
         return Errors(np.concatenate(found, axis=1), squares / np.maximum(counts, 1.0), rms)
+
+
+def _widest(parameter: Parameter) -> Parameter:
+    """Return a joint term as large as it may be: beside what is left without it, a narrow prior would hold it back.
+
+    Harmonics of many orders are held by theirs.
+    """
+    if parameter.kind != "term" or parameter.freed is None or parameter.freed.group.startswith("harmonics"):
+        return parameter
+    return parameter.as_freed({parameter.freed.group})

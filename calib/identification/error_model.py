@@ -18,7 +18,7 @@ from calib.foundations.sealing import sealed
 from calib.foundations.selection import Selection, listed_names, named, select
 from calib.foundations.words import refuse_other
 from calib.identification.machine import POSE, Frames, Layout
-from calib.identification.parameters import TERM_WIDTH, Parameter, ParameterKind, Priors, width
+from calib.identification.parameters import FREED_TERM, TERM_WIDTH, Freed, Parameter, ParameterKind, Priors, width
 from calib.identification.relations import Relation
 from calib.identification.set_ups import SetUp
 from calib.identification.targets import Target
@@ -169,12 +169,13 @@ class ErrorModel:
                 kind, dimension = kind_of(term), dimensions.get(term.reading, "angle")
                 unit, size = kind.coefficient(term, dimension)
                 prior = self.priors.of_term(term, dimension)
-                group = kind.group(term, dimension) if prior == "learned" else None
+                alike = kind.group(term, dimension)
+                group = alike if prior == "learned" else None
                 stated = None if prior == "learned" else prior
                 entries = ((layout.terms + t, 1.0),)
-                found.append(
-                    Parameter(term.name, unit, "term", entries, stated, size, group, weak_prior=TERM_WIDTH * size)
-                )
+                weak = TERM_WIDTH * size
+                freed = Freed(FREED_TERM * weak, alike) if prior is None else None
+                found.append(Parameter(term.name, unit, "term", entries, stated, size, group, weak, freed))
         for s, setup in enumerate(setups):
             known = self.known_base(setup)
             prefix = "base" if setup == ONLY_SETUP else f"base.{setup}"

@@ -1,7 +1,7 @@
 """Named parameters: what may deviate, in which unit, and how far one expects it to."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -36,6 +36,10 @@ PLACEMENT_WIDTH = 0.01
 UNSHOWN_TOOL_WIDTH = 0.03
 FRAME_WIDTH = 10.0
 TERM_WIDTH = 10.0
+# Weak priors of terms that the data clearly ask to be larger than those of industrial arms: so many times as wide.
+FREED_TERM = 100.0
+# The group of tools whose points poses do not show.
+UNSHOWN_TOOLS = "tools"
 # An ordinary distance of a tool point from its link, in m.
 TOOL = 0.3
 
@@ -79,6 +83,13 @@ class Priors:
         return prior
 
 
+class Freed(NamedTuple):
+    """The standard deviation of a wider weak prior, which all parameters of a ``group`` get together."""
+
+    prior: float
+    group: str
+
+
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """One unknown of the machine.
@@ -90,7 +101,8 @@ class Parameter:
     the prior is None until then. ``weak_prior``: the standard deviation of the weak prior that takes its place where
     there is none, about nominal, or about the start of what has no nominal value; wide enough to be negligible wherever
     the data determine the parameter. ``freed``: the wider one that it gets where the data clearly ask for a value
-    farther off. ``centre``: about which value the prior is, where that is neither nominal nor the start.
+    farther off; joint terms get a scale that is as many times larger. ``centre``: about which value the prior is, where
+    that is neither nominal nor the start.
     """
 
     name: str
@@ -101,7 +113,7 @@ class Parameter:
     typical_size: float = DEFAULT_SIGMA
     group: str | None = None
     weak_prior: float = math.inf
-    freed: float | None = None
+    freed: Freed | None = None
     centre: float | None = None
 
     @property
@@ -119,10 +131,13 @@ class Parameter:
         """Whether its prior is stated, and not learned."""
         return self.prior is not None and self.group is None
 
-    @property
-    def as_freed(self) -> "Parameter":
-        """The parameter with its wider weak prior, where it has one."""
-        return self if self.freed is None else replace(self, weak_prior=self.freed, freed=None)
+    def as_freed(self, groups: Collection[str]) -> "Parameter":
+        """Return the parameter with its wider weak prior, where it is of these groups."""
+        if self.freed is None or self.freed.group not in groups:
+            return self
+        wider = self.freed.prior
+        size = self.typical_size * (wider / self.weak_prior if self.kind == "term" else 1.0)
+        return replace(self, weak_prior=wider, freed=None, typical_size=size)
 
     @property
     def scale(self) -> float:
@@ -137,7 +152,7 @@ class Parameter:
         tools are.
         """
         own = self.weak_prior if self.prior is None else self.prior
-        return own if self.freed is None else max(own, TOOL)
+        return max(own, TOOL) if self.kind == "tool" and self.freed is not None else own
 
     @property
     def hold(self) -> float:

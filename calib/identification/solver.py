@@ -9,13 +9,15 @@ damped where it fails. There the noise is estimated, too: where nobody stated it
 not explain the residuals. Ranks, null space and covariance are those of the solution, with the noise that it shows.
 """
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.chance import exceeded
 from calib.foundations.errors import IdentificationError, PoseError
 from calib.foundations.linear import ROUNDING
 from calib.identification import identifiability, weights
@@ -52,6 +54,8 @@ _HELD = 10.0
 _NARROWER = (1.0, 10.0, 100.0)
 # By this share of the cost the data must ask for a place from which narrower priors keep a parameter.
 _CLEARLY_HELD = 0.05
+# How improbable it must be that joint terms are not larger than their priors let them be; what is left, at least.
+_SURELY, _NO_COST = 1e-4, 1e-12
 
 
 class Solution(NamedTuple):
@@ -61,8 +65,8 @@ class Solution(NamedTuple):
     left out, and ``spectrum``: how well; ``with_priors``: the same of data and stated priors. ``start``: the data's
     rows at the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every component.
     ``step``: the last one, in parameter scales. ``narrowed``: by how much weak priors were narrower than is usual, for
-    the robot at least. ``freed``: whether parameters that have a wider prior for that needed it. ``off`` (p,): by how
-    much x is off the minimum where it was found in another way, in SI units.
+    the robot at least. ``freed``: the groups of parameters that needed the wider prior that they have for that. ``off``
+    (p,): by how much x is off the minimum where it was found in another way, in SI units.
     """
 
     x: Array
@@ -77,7 +81,7 @@ class Solution(NamedTuple):
     step: float
     converged: bool
     narrowed: float = 1.0
-    freed: bool = False
+    freed: frozenset[str] = frozenset()
     off: Array | None = None
 
     @property
@@ -158,14 +162,18 @@ def _ended(
     search: "_Search", prior: "_Prior", first: Evaluation, end: "_Point", converged: bool, narrowed: float
 ) -> "Sought":
     """Return where a search ends, from where priors narrower than ``prior`` may have held it."""
-    freed, last = False, end
-    for held, wider, released in _wider(search.problem, prior, narrowed) if converged else ():
-        ended = search._replace(prior=wider).released(last)
+    freed, last = frozenset[str](), end
+    for held, of in _wider(search.problem, narrowed) if converged else ():
+        wider = search._replace(prior=prior.freed(search.problem, of).weighed_for_robot(held))
+        ended = wider.released(last)
         if ended is None:
             continue
         last, done = ended
         if done:
-            search, end, narrowed, freed = search._replace(prior=wider), last, held, released
+            search, end, narrowed, freed = wider, last, held, of
+    while converged and (found := _with_terms_freed(search, end)) is not None:
+        search, end, group = found
+        freed |= {group}
     # What is seen at the start may be less than at the solution.
     _refuse_too_few(search.problem, end.evaluation, search.prior)
     # The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it.
@@ -175,15 +183,31 @@ def _ended(
     return Sought(search, first, end, z, noise, converged, narrowed, freed)
 
 
-def _wider(problem: LeastSquares, prior: "_Prior", narrowed: float) -> Iterator[tuple[float, "_Prior", bool]]:
-    """Yield wider priors than those of a search, with the factor of the robot's and whether parameters are freed."""
-    freed, some = prior.freed(problem), any(parameter.freed is not None for parameter in problem.parameters)
+def _wider(problem: LeastSquares, narrowed: float) -> Iterator[tuple[float, frozenset[str]]]:
+    """Yield in which order priors get wider than those of a search: the factor of the robot's, and what is freed."""
+    tools = frozenset(p.freed.group for p in problem.parameters if p.kind == "tool" and p.freed is not None)
     if narrowed > 1.0:
-        yield narrowed, prior.weighed_for_robot(narrowed), False
-    if some:
-        yield narrowed, freed.weighed_for_robot(narrowed), True
+        yield narrowed, frozenset()
+    if tools:
+        yield narrowed, tools
     if narrowed > 1.0:
-        yield 1.0, freed, some
+        yield 1.0, tools
+
+
+def _with_terms_freed(search: "_Search", end: "_Point") -> tuple["_Search", "_Point", str] | None:
+    """Return where a search ends that frees a group of joint terms which the data ask to be larger, and the group.
+
+    None where they ask it of none.
+    """
+    groups = Counter(p.freed.group for p in search.problem.parameters if p.kind == "term" and p.freed is not None)
+    for group, count in groups.items():
+        wider = search._replace(prior=search.prior.freed(search.problem, {group}))
+        if np.array_equal(wider.prior.hold, search.prior.hold) or not wider.asked(end, search.prior, count):
+            continue
+        last, done = wider.gauss_newton(end.z, end.weighted_by)
+        if done:
+            return wider, last, group
+    return None
 
 
 class _Prior(NamedTuple):
@@ -217,10 +241,13 @@ class _Prior(NamedTuple):
         """Return the priors with the weights of weak ones of the robot times a factor; frames keep theirs."""
         return self._replace(hold=np.where(self.stated | ~self.of_robot, 1.0, factor) * self.hold)
 
-    def freed(self, problem: LeastSquares) -> "_Prior":
-        """Return the priors with the wider ones of parameters that have such."""
-        wider = [p.hold if p.freed is None else p.scale / p.freed for p in problem.parameters]
-        return self._replace(hold=np.where(self.stated, self.hold, wider))
+    def freed(self, problem: LeastSquares, groups: Collection[str]) -> "_Prior":
+        """Return the priors with the wider ones of parameters of these groups."""
+        wider = [
+            p.scale / p.freed.prior if p.freed is not None and p.freed.group in groups else hold
+            for p, hold in zip(problem.parameters, self.hold.tolist(), strict=True)
+        ]
+        return self._replace(hold=np.array(wider))
 
     def beside(self, data: Arrow, z: Array) -> Arrow:
         """Return the rows of the data with those of all priors at z (p,)."""
@@ -438,6 +465,18 @@ class _Search(NamedTuple):
         clearly = begin.gain >= _CLEARLY_HELD * (begin.most_gained + noise.prior.cost(held.z))
         return self.gauss_newton(held.z, noise) if clearly else None
 
+    def asked(self, held: _Point, narrower: _Prior, count: int) -> bool:
+        """Return whether rows ask for these priors, in the place of narrower ones of ``count`` parameters.
+
+        By F: what narrower priors hold back is in their own squares, or, where nothing else explains it, in the rows'.
+        """
+        noise = self.noise(held.z, held.evaluation, held.weighted_by)
+        begin = _Point.of(held.z, held.evaluation, held.weighted_by, noise)
+        less = narrower.weighed(noise.scatter).cost(held.z) - noise.prior.cost(held.z)
+        gain, freedom = begin.gain + less, sum(noise.redundancies)
+        left = self.cost(begin, noise) + less - gain
+        return gain > 0.0 and bool(exceeded(gain * freedom / max(left, _NO_COST), count, freedom) < _SURELY)
+
     def gauss_newton(self, z: Array, weighted_by: _Noise, *, near: bool = False) -> tuple[_Point, bool]:
         """Return the last good point from z (p,) on, and whether no more than a negligible step is left from there.
 
@@ -552,7 +591,7 @@ class Sought(NamedTuple):
     noise: _Noise
     converged: bool
     narrowed: float
-    freed: bool
+    freed: frozenset[str]
 
     @property
     def x(self) -> Array:

@@ -21,7 +21,7 @@ from calib.identification import targets
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initialise, turned, turned_by
 from calib.identification.machine import Frames, Layout, Machine, values_at
-from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, Parameter, ParameterKind
+from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, UNSHOWN_TOOLS, Freed, Parameter, ParameterKind
 from calib.identification.relations import related_targets
 from calib.identification.rows import frame_numbers
 from calib.identification.set_ups import SetUp
@@ -353,7 +353,10 @@ def _with_unshown_tools(parameters: tuple[Parameter, ...], unshown: BoolArray, l
         tool, component = layout.frame_of(parameter)
         return component < 3 and bool(unshown[tool])
 
-    return tuple(replace(q, weak_prior=UNSHOWN_TOOL_WIDTH, freed=q.weak_prior) if held(q) else q for q in parameters)
+    def narrowed(q: Parameter) -> Parameter:
+        return replace(q, weak_prior=UNSHOWN_TOOL_WIDTH, freed=Freed(q.weak_prior, UNSHOWN_TOOLS))
+
+    return tuple(narrowed(q) if held(q) else q for q in parameters)
 
 
 def _refuse_many_relations(model: ErrorModel) -> None:
