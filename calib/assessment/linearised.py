@@ -342,10 +342,7 @@ class LinearisedSystem:
 
 
 def _widest(parameter: Parameter) -> Parameter:
-    """Return a joint term as large as it may be: beside what is left without it, a narrow prior would hold it back.
-
-    Harmonics of many orders are held by theirs.
-    """
-    if parameter.kind != "term" or parameter.freed is None or parameter.freed.group.startswith("harmonics"):
+    """Return a joint term as large as it may be: beside all that is left without it, its weak prior would hold it."""
+    if parameter.kind != "term" or parameter.freed is None:
         return parameter
-    return parameter.as_freed({parameter.freed.group})
+    return replace(parameter, weak_prior=parameter.freed.prior, freed=None)
