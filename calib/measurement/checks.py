@@ -37,6 +37,8 @@ _AT_REST = 1e-4
 # Below this much of motion (0.2 rad, 0.2 m) the positions of a sound table may be narrow.
 _IN_MOTION = 0.2
 _LISTED = 10
+# Of a stream some rows are always left out where joints turn: it is told of such a share.
+_TURNED = 0.1
 # Of a table whose rows are there once more by chance, or by a repeated click, few are.
 _COPIED = 0.5
 # Steps of readings, in degrees and in rad or m. What is on a coarser grid was commanded so.
@@ -99,10 +101,14 @@ def unreached(m: Measurements, sided: Collection[str] = ()) -> tuple[Finding, ..
     """
     found = []
     what = "rows" if m.other is None else "pairs"
-    if m.unreached > 1:
+    every = len(m) + m.unreached
+    if m.unreached > (1 if m.stream is None else _TURNED * every):
+        when, remedy = "before every joint has moved", "begin with a motion of all joints"
+        if m.stream is not None:
+            when, remedy = "where a joint has not moved yet or has just turned", f"{remedy}, and turn less often"
         sentence = (
-            f"{m.where}: in_order leaves out {m.unreached} {what}, before every joint has moved: nothing tells from "
-            "which side it was reached; begin with a motion of all joints."
+            f"{m.where}: in_order leaves out {m.unreached} {what}{'' if m.stream is None else f' of {every}'}, {when}: "
+            f"nothing tells from which side it was reached; {remedy}."
         )
         found.append(Finding.warning("rows-left-out", sentence))
     sides = [end.conditions.approach for end in m.ends if end.conditions.approach is not None]

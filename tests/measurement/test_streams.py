@@ -89,8 +89,13 @@ def test_sides_of_approach_are_those_of_the_joints_motion_between_rows() -> None
     rows = stream_of(seen, table, robot, "position", clock="given", in_order=True)
     assert rows.times is not None
     assert rows.times[0] == pytest.approx(5.0, abs=0.05)  # nothing tells from where it came before
-    assert rows.unreached == np.count_nonzero(at < rows.times[0])
-    assert len(rows) + rows.unreached == pytest.approx(len(at) - np.count_nonzero(between.any(axis=1)), abs=8)
+    turning = np.count_nonzero(between.any(axis=1))
+    assert rows.unreached == pytest.approx(np.count_nonzero(at < rows.times[0]) + turning, abs=8)
+    assert len(rows) + rows.unreached == len(at)
+    (found,) = unreached(rows)
+    assert (
+        f"leaves out {rows.unreached} rows of {len(at)}, where a joint has not moved yet or has just" in found.sentence
+    )
     assert set(np.unique(rows.conditions.approach)) == {-1.0, 1.0}
 
 
@@ -562,9 +567,9 @@ def test_joints_of_a_stream_that_first_move_late_are_named(made: Streams) -> Non
     joints = made.joints | {f"{name} [rad]": np.where(late, moved[late][-1], moved)}
     seen = made.seen | {"time [s]": made.recorded.true_times}
     data = stream_of(seen, joints, made.robot, "position", clock="given", sigma=1e-4, in_order=True)
-    (found,) = unreached(data, {name})
+    _, found = unreached(data, {name})
     many = np.count_nonzero(data.conditions.approach[:, 1] == 0.0)
     assert 0.5 * len(data) < many < 0.8 * len(data)
     assert f"in {many} of {len(data)} rows nothing tells from which side '{name}' was reached" in found.sentence
     assert found.sentence.endswith("begin with a motion of all joints, and turn less often.")
-    assert unreached(data) == ()
+    assert [one.code for one in unreached(data)] == ["rows-left-out"]

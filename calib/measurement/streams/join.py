@@ -101,7 +101,8 @@ def _in_order(rows: Measurements, ordered: bool) -> Measurements:
     found = rows.subset(settled).with_own_names()
     # Where there is hardly a row at which all are known, a joint between two sides is in the middle.
     approach = read_only(np.nan_to_num(came[settled]))
-    return reached(replace(found, conditions=replace(found.conditions, approach=approach)))
+    found = reached(replace(found, conditions=replace(found.conditions, approach=approach)))
+    return replace(found, unreached=found.unreached + int(np.count_nonzero(~settled)))
 
 
 def _known(data: Measurements, stream: Stream, shifts: Mapping[str, float]) -> BoolArray:
