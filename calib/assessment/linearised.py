@@ -24,7 +24,7 @@ from calib.identification.fit import Fit
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
-from calib.identification.parameters import Parameter, directions, scales
+from calib.identification.parameters import directions, scales
 from calib.identification.system import related
 from calib.identification.weights import sigmas_of
 from calib.identification.widths import TOO_UNLIKE
@@ -37,6 +37,8 @@ from calib.robot.terms import JointTerm, kind_of
 
 # Bytes of derivatives that are kept rather than made again.
 _MOST_KEPT = 2**28
+# Of what is left without joint terms each can explain one part in so many, rms, within the width of its weak prior.
+_PART = 3.0
 # Beside what is eliminated. Of many more, as of tools and set-ups that cross, the products would fill the memory.
 _MOST_UNKNOWNS = 2000
 # A coefficient that helps by less, in variances of what is left, ends the way: of one that does nothing it is 1.
@@ -127,8 +129,7 @@ class LinearisedSystem:
         # Widths that geometry has taught are held to; those of candidates, where learned, would need them all at once.
         known = {parameter.name: parameter.prior for parameter in geometric.parameters}
         parameters = tuple(
-            _widest(p if (prior := known.get(p.name, p.prior)) == p.prior else replace(p, prior=prior))
-            for p in whole.parameters
+            p if (prior := known.get(p.name, p.prior)) == p.prior else replace(p, prior=prior) for p in whole.parameters
         )
         self._problem = replace(whole, parameters=parameters, reference=frames, held=held, given_losses=given)
         # A stated prior pulls towards zero; a weak one holds at the geometric fit.
@@ -149,7 +150,7 @@ class LinearisedSystem:
         # Known without any row: relations between targets, and priors.
         rows = related(self._problem, self._x, self._split)
         self._known = rows.T @ rows
-        priors, self._held = self._split.parts(np.array([parameter.hold for parameter in parameters]) ** 2)
+        priors, self._held = self._split.parts(self._holds() ** 2)
         self._held[~self._split.real] = 1.0
         unknowns = range(len(common))
         self._known[unknowns, unknowns] += priors
@@ -160,6 +161,22 @@ class LinearisedSystem:
         number = {parameters[parameter].name: k for k, parameter in enumerate(common)}
         self._columns = [[number[term.name] for term in candidate.terms] for candidate in offered]
         self._filled = filled(self._columns)
+
+    def _holds(self) -> Array:
+        """Return how strongly priors (p,) hold: weak ones of joint terms less where much is left without these.
+
+        Beside that, large terms would seem to be unknown, and their weak priors would hold them.
+        """
+        holds = np.array([parameter.hold for parameter in self._problem.parameters])
+        squares = np.zeros(len(self._split.common))
+        for part in self._rows():
+            squares += np.sum(part.J_r[:, :, :-1] ** 2, axis=(0, 1))
+        count = sum(d.sigma[own].size for d, own in zip(self._problem.measurements, self._looked_at, strict=True))
+        for k, effect in zip(self._split.common.tolist(), np.sqrt(squares / count).tolist(), strict=True):
+            if (wider := self._problem.parameters[k].freed) is not None and self._problem.parameters[k].kind == "term":
+                least = self._problem.parameters[k].scale / wider.prior
+                holds[k] = min(holds[k], max(_PART * effect, least))
+        return holds
 
     @property
     def robot(self) -> Robot:
@@ -339,10 +356,3 @@ class LinearisedSystem:
                 rows_of[name] = rows_of.get(name, 0) + len(rows)
         rms = {name: np.sqrt(total / rows_of[name]) for name, total in sums.items()}
         return Errors(np.concatenate(found, axis=1), squares / np.maximum(counts, 1.0), rms)
-
-
-def _widest(parameter: Parameter) -> Parameter:
-    """Return a joint term as large as it may be: beside all that is left without it, its weak prior would hold it."""
-    if parameter.kind != "term" or parameter.freed is None:
-        return parameter
-    return replace(parameter, weak_prior=parameter.freed.prior, freed=None)
