@@ -5,6 +5,7 @@ of all candidates is taken once, and what would be hundreds of fits are eliminat
 fold. Targets, and other unknowns that few rows are about, are eliminated first.
 """
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -17,7 +18,9 @@ from calib.assessment.eliminated import Own
 from calib.assessment.entering import Blocks, Products, filled
 from calib.assessment.validation import HeldOut, held_out
 from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.chance import exceeded
 from calib.foundations.errors import IdentificationError
+from calib.foundations.linear import ROUNDING
 from calib.foundations.sealing import sealed
 from calib.identification.error_model import with_terms
 from calib.identification.fit import Fit
@@ -37,8 +40,8 @@ from calib.robot.terms import JointTerm, kind_of
 
 # Bytes of derivatives that are kept rather than made again.
 _MOST_KEPT = 2**28
-# Of what is left without joint terms each can explain one part in so many, rms, within the width of its weak prior.
-_PART = 3.0
+# How improbable it must be that terms of a kind are not larger than their weak priors let them be.
+_SURELY, _NOTHING = 1e-4, 1e-12
 # Beside what is eliminated. Of many more, as of tools and set-ups that cross, the products would fill the memory.
 _MOST_UNKNOWNS = 2000
 # A coefficient that helps by less, in variances of what is left, ends the way: of one that does nothing it is 1.
@@ -150,7 +153,7 @@ class LinearisedSystem:
         # Known without any row: relations between targets, and priors.
         rows = related(self._problem, self._x, self._split)
         self._known = rows.T @ rows
-        priors, self._held = self._split.parts(self._holds() ** 2)
+        priors, self._held = self._split.parts(np.array([parameter.hold for parameter in parameters]) ** 2)
         self._held[~self._split.real] = 1.0
         unknowns = range(len(common))
         self._known[unknowns, unknowns] += priors
@@ -161,22 +164,39 @@ class LinearisedSystem:
         number = {parameters[parameter].name: k for k, parameter in enumerate(common)}
         self._columns = [[number[term.name] for term in candidate.terms] for candidate in offered]
         self._filled = filled(self._columns)
+        self._free_terms()
 
-    def _holds(self) -> Array:
-        """Return how strongly priors (p,) hold: weak ones of joint terms less where much is left without these.
+    def _free_terms(self) -> None:
+        """Give joint terms their wider weak priors where rows ask for it, kind by kind until they ask no more.
 
-        Beside that, large terms would seem to be unknown, and their weak priors would hold them.
+        Beside all that is left without them, large terms would seem to be unknown, and their weak priors hold them.
         """
-        holds = np.array([parameter.hold for parameter in self._problem.parameters])
-        squares = np.zeros(len(self._split.common))
-        for part in self._rows():
-            squares += np.sum(part.J_r[:, :, :-1] ** 2, axis=(0, 1))
-        count = sum(d.sigma[own].size for d, own in zip(self._problem.measurements, self._looked_at, strict=True))
-        for k, effect in zip(self._split.common.tolist(), np.sqrt(squares / count).tolist(), strict=True):
-            if (wider := self._problem.parameters[k].freed) is not None and self._problem.parameters[k].kind == "term":
-                least = self._problem.parameters[k].scale / wider.prior
-                holds[k] = min(holds[k], max(_PART * effect, least))
-        return holds
+        groups, wider = defaultdict[str, list[int]](list), np.zeros(len(self._split.common))
+        for k, parameter in enumerate(self._problem.parameters[p] for p in self._split.common):
+            if parameter.kind == "term" and parameter.freed is not None:
+                groups[parameter.freed.group].append(k)
+                wider[k] = (parameter.scale / parameter.freed.prior) ** 2
+        products = self.products(np.zeros(sum(int(own.sum()) for own in self._looked_at), dtype=np.intp))
+        beside, asking = list(self._geometry), True
+        while asking:
+            asking = False
+            for group, own in list(groups.items()):
+                if self._asked(products, beside, own, wider[own]):
+                    self._known[own, own] += wider[own] - self._weak[own]
+                    self._weak[own] = wider[own]
+                    beside, asking = [*beside, *groups.pop(group)], True
+
+    def _asked(self, products: Products, beside: Sequence[int], own: Sequence[int], wider: Array) -> bool:
+        """Return whether rows ask, by F, for ``wider`` weights (k,) of priors of ``own`` columns ``beside`` others."""
+        freedom, which = products.freedom(None) - len(beside), np.array([*beside, *own, len(self._weak)])
+        if freedom <= 0.0:
+            return False
+        before = products.grams(which)[-1] + self._known[np.ix_(which, which)]
+        after, places = before.copy(), np.arange(len(beside), len(which) - 1)
+        after[places, places] += wider - self._weak[own]
+        left = _left(after)
+        gain = _left(before) - left
+        return gain > 0.0 and bool(exceeded(gain * freedom / max(left, _NOTHING), len(own), freedom) < _SURELY)
 
     @property
     def robot(self) -> Robot:
@@ -356,3 +376,9 @@ class LinearisedSystem:
                 rows_of[name] = rows_of.get(name, 0) + len(rows)
         rms = {name: np.sqrt(total / rows_of[name]) for name, total in sums.items()}
         return Errors(np.concatenate(found, axis=1), squares / np.maximum(counts, 1.0), rms)
+
+
+def _left(products: Array) -> float:
+    """Return the least sum of squares that products (k + 1, k + 1) of the columns of ``[J r]`` leave."""
+    found = np.linalg.lstsq(products[:-1, :-1], products[:-1, -1], rcond=ROUNDING)[0]
+    return float(products[-1, -1] - products[-1, :-1] @ found)
