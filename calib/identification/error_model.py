@@ -174,7 +174,8 @@ class ErrorModel:
                 stated = None if prior == "learned" else prior
                 entries = ((layout.terms + t, 1.0),)
                 weak = TERM_WIDTH * size
-                freed = Freed(FREED_TERM * weak, alike) if prior is None else None
+                # A time constant, in decades, is no size.
+                freed = Freed(FREED_TERM * weak, alike) if stated is None and unit != "decade" else None
                 found.append(Parameter(term.name, unit, "term", entries, stated, size, group, weak, freed))
         for s, setup in enumerate(setups):
             known = self.known_base(setup)

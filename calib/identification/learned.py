@@ -2,10 +2,12 @@
 
 A group that too few directions of the data speak of keeps a usual width, since one of one or two numbers would be
 chance; unless even these are farther off, which says that the others may be as well. One of which nothing shows comes
-to what could hide from the data. One at the widest that is allowed is as good as without a prior.
+to what could hide from the data. One at the widest that is allowed is as good as without a prior. Joint terms of which
+the data clearly ask that they be larger than weak priors would let them be are of a larger scale from then on: what
+they leave, held as narrowly as is usual, would be taken for noise beside which the data say too little of them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,7 +16,7 @@ import numpy as np
 from calib.foundations import linear
 from calib.foundations.arrays import Array, BoolArray
 from calib.identification.arrow import Arrow
-from calib.identification.parameters import Parameter, scales
+from calib.identification.parameters import UNSHOWN_TOOLS, Parameter, scales
 from calib.identification.solver import Near, Solution, Sought, seek, solve
 from calib.identification.system import Evaluation, Problem
 from calib.identification.widths import WIDEST, NormalEquations, likeliest_widths, likelihood
@@ -57,9 +59,25 @@ def solve_learning(
 ) -> tuple[Problem, Solution, tuple[LearnedPrior, ...]]:
     """Solve a problem from x0 (p,) and learn the widths of its groups; returns it with the learned priors.
 
-    ``near``: where the first minimum is, if that is nearly known. Raises what
-    :func:`calib.identification.solver.solve` raises.
+    Joint terms that are freed have their wider weak priors in what is returned. ``near``: where the first minimum is,
+    if that is nearly known. Raises what :func:`calib.identification.solver.solve` raises.
     """
+    problem, found, learned = _solved(problem, x0, variances, near)
+    while terms := found.freed - {UNSHOWN_TOOLS}:
+        problem = with_freed(problem, terms)
+        problem, again, learned = _solved(problem, x0, variances, Near(found.x, found.variances))
+        found = again._replace(evaluations=found.evaluations + again.evaluations)
+    return problem, found, learned
+
+
+def with_freed(problem: Problem, groups: Collection[str]) -> Problem:
+    """Return a problem with the wider weak priors of parameters of these groups."""
+    return replace(problem, parameters=tuple(parameter.as_freed(groups) for parameter in problem.parameters))
+
+
+def _solved(
+    problem: Problem, x0: Array, variances: Sequence[float | None] | None, near: Near | None
+) -> tuple[Problem, Solution, tuple[LearnedPrior, ...]]:
     names = tuple(dict.fromkeys(p.group for p in problem.parameters if p.group is not None))
     if not names:
         return problem, solve(problem, x0, variances, near), ()
@@ -67,6 +85,9 @@ def solve_learning(
     widths = usual
     problem = _with_widths(problem, names, widths)
     found = seek(problem, x0, variances, near, roughly=True)
+    while found.converged and (larger := found.asked):
+        problem = _with_widths(with_freed(problem, larger), names, widths)
+        found = seek(problem, x0, variances, Near(found.x, found.noise.variances), roughly=True)
     rows = _equations(problem, found, variances, names)
     seen = _seen(rows, usual)
     few = np.asarray(seen < _FEWEST)

@@ -1,7 +1,6 @@
 """The lowest of several minima: searches from where anchors, tools and the sides of planes are elsewhere."""
 
-from collections.abc import Collection, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -9,7 +8,7 @@ from calib.foundations.arrays import Array
 from calib.identification import weights
 from calib.identification.initialisation.anchors import anchors_anew
 from calib.identification.initialisation.tools_elsewhere import tools_elsewhere
-from calib.identification.learned import LearnedPrior, solve_learning
+from calib.identification.learned import LearnedPrior, solve_learning, with_freed
 from calib.identification.mirrored import LIKELY, behind, with_turns
 from calib.identification.parameters import UNSHOWN_TOOLS, scales
 from calib.identification.solver import Near, Solution, seek, solve
@@ -29,15 +28,11 @@ def searched(
     """Return problem and solution, and other values (p,) that explain the rows as well; ``once``: none are sought."""
     alike = None
     problem, found, learned = solve_learning(problem, x0, variances, known)
-    if terms := found.freed - {UNSHOWN_TOOLS}:
-        problem = _freed(problem, terms)
-        problem, again, learned = solve_learning(problem, x0, variances, Near(found.x, found.variances))
-        found = again._replace(evaluations=found.evaluations + again.evaluations)
     found = with_anchors(problem, found, variances)
     if not once:
         problem, found, learned = _with_tools(problem, found, learned, x0, variances)
         problem, found, learned, alike = _behind(problem, found, learned, x0, variances)
-    return _freed(problem, found.freed), found, learned, alike
+    return with_freed(problem, found.freed & {UNSHOWN_TOOLS}), found, learned, alike
 
 
 def with_anchors(problem: Problem, found: Solution, variances: Sequence[float | None] | None) -> Solution:
@@ -70,7 +65,7 @@ def _with_tools(
     before, after = _squares(problem, found.x, sigmas), [_squares(problem, end.x, sigmas) for end in ends]
     best = ends[int(np.argmin(after))]
     if _clearly_less(min(after), before):
-        freed = _freed(problem, {UNSHOWN_TOOLS})
+        freed = with_freed(problem, {UNSHOWN_TOOLS})
         for begin, near in ((x0, Near(best.x, best.noise.variances)), (best.x, None)):
             new, again, anew = solve_learning(freed, begin, variances, near)
             count += again.evaluations
@@ -79,10 +74,6 @@ def _with_tools(
         # It is known not to be the minimum.
         found = found._replace(converged=False)
     return problem, found._replace(evaluations=count), learned
-
-
-def _freed(problem: Problem, groups: Collection[str]) -> Problem:
-    return replace(problem, parameters=tuple(parameter.as_freed(groups) for parameter in problem.parameters))
 
 
 def _behind(

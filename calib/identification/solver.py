@@ -10,7 +10,7 @@ not explain the residuals. Ranks, null space and covariance are those of the sol
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -199,8 +199,7 @@ def _with_terms_freed(search: "_Search", end: "_Point") -> tuple["_Search", "_Po
 
     None where they ask it of none.
     """
-    groups = Counter(p.freed.group for p in search.problem.parameters if p.kind == "term" and p.freed is not None)
-    for group, count in groups.items():
+    for group, count in _terms_to_free(search.problem, learned=False).items():
         wider = search._replace(prior=search.prior.freed(search.problem, {group}))
         if np.array_equal(wider.prior.hold, search.prior.hold) or not wider.asked(end, search.prior, count):
             continue
@@ -208,6 +207,12 @@ def _with_terms_freed(search: "_Search", end: "_Point") -> tuple["_Search", "_Po
         if done:
             return wider, last, group
     return None
+
+
+def _terms_to_free(problem: LeastSquares, *, learned: bool) -> Counter[str]:
+    """Return the groups of joint terms that may be freed, with how many are in each; of ``learned`` widths, or not."""
+    terms = [p for p in problem.parameters if p.kind == "term" and (p.group is not None) == learned]
+    return Counter(p.freed.group for p in terms if p.freed is not None)
 
 
 class _Prior(NamedTuple):
@@ -243,11 +248,19 @@ class _Prior(NamedTuple):
 
     def freed(self, problem: LeastSquares, groups: Collection[str]) -> "_Prior":
         """Return the priors with the wider ones of parameters of these groups."""
-        wider = [
-            p.scale / p.freed.prior if p.freed is not None and p.freed.group in groups else hold
-            for p, hold in zip(problem.parameters, self.hold.tolist(), strict=True)
-        ]
-        return self._replace(hold=np.array(wider))
+        return self._with(
+            {p.name: p.freed.prior for p in problem.parameters if p.freed and p.freed.group in groups}, problem
+        )
+
+    def unlearned(self, problem: LeastSquares, group: str) -> "_Prior":
+        """Return the priors with weak ones of parameters of a group, in the place of those that are learned."""
+        return self._with({p.name: p.weak_prior for p in problem.parameters if p.group == group}, problem)
+
+    def _with(self, widths: Mapping[str, float], problem: LeastSquares) -> "_Prior":
+        held = zip(problem.parameters, self.hold.tolist(), strict=True)
+        return self._replace(
+            hold=np.array([p.scale / widths[p.name] if p.name in widths else hold for p, hold in held])
+        )
 
     def beside(self, data: Arrow, z: Array) -> Arrow:
         """Return the rows of the data with those of all priors at z (p,)."""
@@ -472,9 +485,10 @@ class _Search(NamedTuple):
         """
         noise = self.noise(held.z, held.evaluation, held.weighted_by)
         begin = _Point.of(held.z, held.evaluation, held.weighted_by, noise)
-        less = narrower.weighed(noise.scatter).cost(held.z) - noise.prior.cost(held.z)
-        gain, freedom = begin.gain + less, sum(noise.redundancies)
-        left = self.cost(begin, noise) + less - gain
+        other = noise._replace(prior=narrower.weighed(noise.scatter))
+        less = begin.gain - _Point.of(held.z, held.evaluation, held.weighted_by, other).gain
+        gain = less + other.prior.cost(held.z) - noise.prior.cost(held.z)
+        left, freedom = self.cost(begin, noise) - begin.gain, sum(noise.redundancies)
         return gain > 0.0 and bool(exceeded(gain * freedom / max(left, _NO_COST), count, freedom) < _SURELY)
 
     def gauss_newton(self, z: Array, weighted_by: _Noise, *, near: bool = False) -> tuple[_Point, bool]:
@@ -607,6 +621,16 @@ class Sought(NamedTuple):
         """Seek from here on the solution of the same problem with priors of other widths; scales stay the same."""
         search = self.search._replace(problem=problem, prior=_Prior.of(problem, self.z))
         return _narrowed(search, self.first, self.z, self.noise, roughly=roughly)
+
+    @property
+    def asked(self) -> frozenset[str]:
+        """The groups of joint terms with learned widths which rows ask to be larger than weak priors let them be."""
+        search, found = self.search, set[str]()
+        for group, count in _terms_to_free(search.problem, learned=True).items():
+            weak, wide = search.prior.unlearned(search.problem, group), search.prior.freed(search.problem, {group})
+            if search._replace(prior=wide).asked(self.end, weak, count):
+                found.add(group)
+        return frozenset(found)
 
     @property
     def told(self) -> Solution:

@@ -114,6 +114,32 @@ def test_a_soft_arm_is_trusted_and_predicted_without_a_stated_prior() -> None:
     assert calib.assess(fit).trusted
 
 
+def test_learned_widths_are_those_of_a_soft_arm() -> None:
+    """Beside what they leave, rows seemed to say too little to learn from: a usual width held them near zero."""
+    robot, data, true = sagging(2, 40)
+    terms, priors = {"elastic": list(SOFT)}, calib.Priors(elastic="learned")
+    fit = calib.identify(calib.error_model(robot, offsets="all", placements="all", terms=terms, priors=priors), data)
+    found = {p.name: (v, s) for p, v, s in zip(fit.parameters, fit.values, fit.sigmas, strict=True) if p.kind == "term"}
+    for name, compliance in SOFT.items():
+        value, sigma = found[f"{name}.elastic"]
+        assert abs(value - compliance) < 4.0 * sigma < 0.1 * compliance
+    (learned,) = fit.learned
+    assert learned.width > min(SOFT.values())
+    assert true.position is not None
+    away = machines.predicted(fit, true.readings)[:, :3, 3] - true.position
+    assert np.sqrt(np.mean(away**2)) < SIGMA
+
+
+def test_learned_widths_of_ordinary_terms_keep_their_scale() -> None:
+    terms = {"harmonics": [WAVING], "harmonic_orders": (1, 2, 3)}
+    model = calib.error_model(
+        machines.load(*UR5), offsets="all", placements="all", terms=terms, priors=calib.Priors(harmonics="learned")
+    )
+    for seed in range(3):
+        fit = calib.identify(model, rows(seed, 30, wave=5e-4)[1])
+        assert all(p.freed is not None for p in fit.parameters if p.kind == "term")
+
+
 def test_the_choice_of_terms_finds_a_soft_arm() -> None:
     """Beside what is left without them, a narrow prior held compliances back, and gears were taken in their place."""
     robot, data, _ = sagging(3, 80)
