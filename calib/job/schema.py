@@ -243,7 +243,8 @@ class InstrumentSection(_Section):
 
     A laser tracker has a station; a camera is on the floor, the tip or a link, and has OpenCV's numbers: a ``lens``
     that is given, or free, in which case the ``size`` of its images is enough; or numbers of it that are free.
-    ``lens_file``: a YAML of OpenCV, ROS or Kalibr that gives the numbers; ``lens_sigma``: how well they are known.
+    ``lens_file``: a YAML of OpenCV, ROS or Kalibr, or an .npz, that gives the numbers; ``lens_sigma``: how well they
+    are known.
     """
 
     kind: Literal["laser_tracker", "arm", "camera"]

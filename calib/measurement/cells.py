@@ -243,9 +243,10 @@ def refuse_ragged(rows: Sequence[Sequence[str]], width: int, block: Sequence[Lin
     for (number, text, ended), found in zip(block, rows, strict=True):
         if len(found) == width:
             continue
+        by_commas = text.count(",") >= len(found) - 1 and not _PARTED.search(text)
         if len(found) < width and not ended:
             hint = ", and the file ends within this row: it seems truncated"
-        elif len(found) > width and found[-1] and text.count(",") >= len(found) - 1 and not _PARTED.search(text):
+        elif len(found) > width and found[-1] and by_commas and "." not in text:
             hint = "; if these are decimal commas, write points, or separate the cells by semicolons"
         elif len(rows) > 1 and all(len(row) == width + 1 and row[-1] for row in rows):
             hint = "; a title is missing, which R gives the names of rows by write.table(..., col.names = NA)"

@@ -261,8 +261,8 @@ def _rounded(m: Measurements, readings: Sequence[Reading], reach: float) -> Iter
     yield Finding.warning(
         "rounded-readings",
         f"{m.where}: readings of {readings[j].name!r}{others} come in steps of "
-        f"{steps[j] * factor:.4g} {unit}; if they are rounded, the tip is off by up to "
-        f"{0.5 * steps[j] * arms[j] / MM:.2g} mm: write more digits.",
+        f"{steps[j] * factor:.4g} {unit}; if they are not where joints were told to be, but rounded, the tip is off by "
+        f"up to {0.5 * steps[j] * arms[j] / MM:.2g} mm: write more digits.",
     )
 
 

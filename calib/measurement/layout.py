@@ -17,6 +17,8 @@ from calib.measurement.cells import Line, beginning, by_blanks, cells, is_commen
 # In the order in which they are taken where several divide as well: a comma may also be a decimal one.
 _SEPARATORS = ("\t", ";", "|", ",")
 _LOOKED_AT = 200
+# Cells of a line above a table that has a name and a number.
+_A_SETTING = 2
 _LONGEST_NAME = 1000
 _NAMES = {"\t": "tabs", ";": "semicolons", "|": "bars", " ": "blanks"}
 _MARKS = re.compile(r"^\s*(?:#|//|%)+\s*")
@@ -34,6 +36,11 @@ _BEHIND = (
 _SUFFIX = re.compile(r"(.+)[_\s]([^\W_]+)")
 # A name in quotes, and a cell without.
 _NAMED_BY_R = re.compile(r'\s*"(?:[^"]|"")*"[\s,;|]+[^"\s,;|]')
+_WHOLE = re.compile(r"[0-9]{1,9}")
+# Titles below which rows are numbered: "No.", "Point ID".
+_NUMBERING = re.compile(
+    r"(?i)(?:(?:n|no|nr|id|idx|index|num|number|row|point|pose|measurement|sample|frame|name|label)(?![a-z])[\s_.#]*|#)+"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +112,17 @@ def layout(data: bytes, where: str) -> Layout:
 
 
 def _are_numbered_by_r(lines: Sequence[str], rows: Sequence[Sequence[str]], separator: str) -> bool:
-    """Return whether a table is as ``write.table`` of R has it: quoted titles, and quoted names of rows before numbers.
+    """Return whether a table is as ``write.table`` of R has it: quoted titles, and quoted numbers of rows before more.
 
-    These are not quoted, no two rows have one name, and no row ends with an empty cell. Elsewhere a title that is
-    missing may be any.
+    These are not quoted, no two rows have one number, and no row ends with an empty cell. Elsewhere a title that is
+    missing may be any: names may be of points, below a title of their own, and so may numbers, below a title that says
+    so, unless whole numbers stand beside them.
     """
     if len(rows) < 2 or lines[0].count('"') != 2 * len(rows[0]) or any(is_number(cell, separator) for cell in rows[0]):
         return False
-    if len({row[0] for row in rows[1:]}) < len(rows) - 1:
+    if len({row[0] for row in rows[1:]}) < len(rows) - 1 or not all(_WHOLE.fullmatch(row[0]) for row in rows[1:]):
+        return False
+    if _NUMBERING.fullmatch(rows[0][0]) and not all(_WHOLE.fullmatch(row[1]) for row in rows[1:] if len(row) > 1):
         return False
     return all(
         len(row) == len(rows[0]) + 1 and row[-1] and _NAMED_BY_R.match(line) and is_number(row[1], separator)
@@ -181,12 +191,14 @@ def header_of(rows: Sequence[Sequence[str]], separator: str) -> int:
     """Return which of the first rows of a table is its header.
 
     It is the first one that has as many cells as the first row of numbers, most of them filled: a spreadsheet fills up
-    every line to the width of the table, those above the header as well.
+    every line to the width of the table, those above the header as well. Where none has as many, it is the one above
+    the numbers.
     """
     data_row = _first_of_data(rows, separator) or 0
     like_data = [i for i in range(data_row) if len(rows[i]) == len(rows[data_row])]
     like_data = [i for i in like_data if i == like_data[-1] or not units_of(rows[i])]  # units may be above
-    return next((i for i in like_data if _is_filled(rows[i])), like_data[0] if like_data else 0)
+    nearest = like_data[0] if like_data else max(data_row - 1, 0)
+    return next((i for i in like_data if _is_filled(rows[i])), nearest)
 
 
 def with_point(cell: str, separator: str) -> str:
@@ -213,6 +225,8 @@ def _first_of_data(rows: Sequence[Sequence[str]], separator: str) -> int | None:
     found = [i for i, row in enumerate(rows) if _is_data(row, separator)]
     if not found:
         return None
+    if len(rows[found[-1]]) > _A_SETTING:  # frames may be fewer than the numbers that are set above them
+        found = [i for i in found if len(rows[i]) != _A_SETTING or is_number(rows[i][0], separator)]
     (width, times), *_ = Counter(len(rows[i]) for i in found).most_common(1)
     if 2 * times > len(found):
         found = [i for i in found if len(rows[i]) == width]

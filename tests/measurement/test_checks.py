@@ -139,8 +139,8 @@ def test_readings_rounded_to_degrees(step: float) -> None:
     assert (severity, code) == ("warning", "rounded-readings")
     off = 0.5e3 * REACH * np.radians(step)
     assert sentence == (
-        f"t: readings of 'a' and 2 others come in steps of {step:.4g} deg; if they are rounded, the tip "
-        f"is off by up to {off:.2g} mm: write more digits."
+        f"t: readings of 'a' and 2 others come in steps of {step:.4g} deg; if they are not where joints were told "
+        f"to be, but rounded, the tip is off by up to {off:.2g} mm: write more digits."
     )
     # As a table in rad with five digits has them.
     steps = resolutions(np.round(rounded[:, :1], 6), READINGS[:1])

@@ -43,6 +43,31 @@ def test_ros(tmp_path: Path) -> None:
     assert read(tmp_path, ROS) == (LENS, (1280, 720))
 
 
+@pytest.mark.parametrize("names", [("camera_matrix", "dist_coeffs"), ("mtx", "dist"), ("K", "D")])
+@pytest.mark.parametrize("shape", [(5,), (1, 5), (5, 1)])
+def test_an_archive_of_numpy(tmp_path: Path, names: tuple[str, str], shape: tuple[int, ...]) -> None:
+    K = np.array([[900.5, 0.0, 640.25], [0.0, 901.5, 360.75], [0.0, 0.0, 1.0]])
+    bent = np.array([-0.1, 0.02, 1e-4, -2e-4, 0.003]).reshape(shape)
+    arrays = dict(zip(names, (K, bent), strict=True))
+    np.savez(tmp_path / "lens.npz", **arrays, rms=0.2, tvecs=np.ones((7, 3, 1)))
+    assert read_lens(tmp_path / "lens.npz") == (LENS, None)
+    np.savez(tmp_path / "lens.npz", **arrays, image_width=1280, image_height=720)
+    assert read_lens(tmp_path / "lens.npz") == (LENS, (1280, 720))
+
+
+def test_an_archive_without_a_lens(tmp_path: Path) -> None:
+    path = tmp_path / "lens.npz"
+    np.savez(path, K=np.diag([900.0, 900.0, 1.0]))
+    with pytest.raises(JobError, match=r"lens\.npz: states no distortion;"):
+        read_lens(path)
+    np.savez(path, p=np.ones(3))
+    with pytest.raises(JobError, match=r"lens\.npz: holds no lens"):
+        read_lens(path)
+    path.write_bytes(b"PK")
+    with pytest.raises(JobError, match=r"lens\.npz: is no archive of arrays that can be read\.$"):
+        read_lens(path)
+
+
 def test_a_message_as_rostopic_echo_prints_it(tmp_path: Path) -> None:
     message = """header:
   seq: 7

@@ -60,6 +60,21 @@ def test_lines_of_numbers_above_the_header_are_no_rows(folder: Path) -> None:
     assert [names[f"{axis} [mm]"] for axis in "xyz"] == ["tool X", "tool Y", "tool Z"]
 
 
+@pytest.mark.parametrize("count", [1, 5, 7])
+def test_few_frames_below_many_settings_are_the_rows(folder: Path, count: int) -> None:
+    above = [f"{name}\t{k}" for k, name in enumerate(("NO_OF_FRAMES", "CAMERAS", "MARKERS", "RATE", "ANALOG", "F"))]
+    above += ["TIME_STAMP\t2021-03-04, 12:00:00\t123.4", "MARKER_NAMES\tA\tB"]
+    titles = "\t".join(["Frame", *(f"{name} {axis}" for name in "AB" for axis in "XYZ")])
+    frames = ["\t".join(f"{k}.{j}" for j in range(7)) for k in range(count)]
+    (folder / "a.tsv").write_text("\n".join([*above, titles, *frames, ""]))
+    sheet = read_sheet("a.tsv")
+    assert (sheet.titles, len(sheet.rows)) == (tuple(titles.split("\t")), count)
+    # Without titles, the line above the frames is named.
+    (folder / "a.tsv").write_text("\n".join([*above, *frames, ""]))
+    with pytest.raises(calib.MeasurementError, match=r"^a\.tsv:9: the header has 3 cells and this row has 7\.$"):
+        read_sheet("a.tsv")
+
+
 def test_lines_that_a_spreadsheet_fills_up_are_no_rows_either(folder: Path) -> None:
     lines = ["Objects,,,,,,,", "100,,,,,,,", ",,tool:tool,,,,,", "Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ"]
     lines.append(",,rad,rad,rad,mm,mm,mm")

@@ -195,6 +195,22 @@ def test_names_of_rows_that_r_writes_have_no_title(folder: Path, separator: str)
         read_sheet("b.csv")
 
 
+def test_a_title_that_is_missing_behind_quoted_ones_shifts_no_column(folder: Path) -> None:
+    """Names, and numbers below a title that says so, are of points: which title is missing, nothing tells."""
+    said = r"a\.csv:2: .* 9 cells and this row has 10; a title is missing, which"
+    for first, names in (("Point", "P{}"), ("Point", "{}"), ("J0", "P{}")):
+        head = ",".join(f'"{title}"' for title in (first, "J1", "J2", "J3", "J4", "J5", "J6", "x", "y"))
+        rows = [",".join([f'"{names.format(k)}"', *(f"{k + j / 7:.4f}" for j in range(9))]) for k in range(1, 9)]
+        (folder / "a.csv").write_text("\n".join([head, *rows, ""]))
+        for read in (read_sheet, lambda path: raw_table(Path(path).read_bytes(), path)):
+            with pytest.raises(calib.MeasurementError, match=said):
+                read("a.csv")
+    # A column of R that numbers the rows as well, and rows in another order.
+    rows = [f'"{k}",{k},' + ",".join(f"{k + j / 7:.4f}" for j in range(8)) for k in (3, 1, 2)]
+    (folder / "a.csv").write_text("\n".join([head.replace("J0", "id"), *rows, ""]))
+    assert read_sheet("a.csv").titles[:3] == ("column 1", "id", "J1")
+
+
 @pytest.mark.parametrize("row", ['"{0}","{0}","ok",', '"{0}","{0}","{0}","ok"', '"a",{0},{0},"ok"'])
 def test_quoted_cells_are_no_names_of_rows(folder: Path, row: str) -> None:
     """A separator at the end of each row, or a title that is missing elsewhere: R does not write these."""

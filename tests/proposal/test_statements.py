@@ -266,6 +266,63 @@ def test_a_list_in_a_list_of_its_own_number_keeps_the_name(folder: Path, form: s
     assert sheet.rows[2] == ("2", "2.000000", "2.000000", "-3.000000", "4.500000")
 
 
+def test_numbers_that_are_called_otherwise_are_another_kind(folder: Path) -> None:
+    """The one AXIS of a program became a row of its frames, which have as many numbers."""
+    frames = "".join(f"DECL FRAME F{k}={{X {k}.5,Y 2.5,Z 3.5,A 4.5,B 5.5,C 6.5}}\n" for k in range(3))
+    axis = "DECL AXIS H={A1 1.5,A2 2.5,A3 3.5,A4 4.5,A5 5.5,A6 6.5}\n"
+    with pytest.raises(calib.MeasurementError, match=r"1 row as 'DECL AXIS .*--topic AXIS\); 3 rows .*--topic FRAME\)"):
+        made(folder, axis + frames)
+    assert made(folder, axis + frames, "AXIS").titles == ("A1", "A2", "A3", "A4", "A5", "A6")
+    assert made(folder, axis + frames, "FRAME").titles == ("name", "X", "Y", "Z", "A", "B", "C")
+    # Their numbers make no kinds.
+    assert len(made(folder, "(x1=1, y1=2, z1=3)\n(x2=1, y2=2, z2=3)\n").rows) == 2
+
+
+COMMENTED = {
+    "krl": ("DECL AXIS P{0}={{A1 {0},A2 2.5,A3 3.5}}", " ; {}"),
+    "rapid": ("CONST robtarget p{0}:=[[{0},2.5,3.5]];", " ! {}"),
+    "python": ("p{0} = [{0}, 2.5, 3.5]", "  # {}"),
+    "c": ("double p{0}[] = {{{0}, 2.5, 3.5}};", " // {}"),
+    "matlab": ("p{0} = [{0}, 2.5, 3.5];", " % {}"),
+}
+
+
+@pytest.mark.parametrize("language", COMMENTED)
+def test_comments_behind_statements_make_no_kinds(folder: Path, language: str) -> None:
+    line, mark = COMMENTED[language]
+    said = {2: "home", 4: "above the table (left), 300 mm", 5: "it's here"}
+    lines = [line.format(k) + (mark.format(said[k]) if k in said else "") for k in range(8)]
+    sheet = made(folder, "\n".join([*lines, ""]))
+    assert [[float(cell) for cell in row[-3:]] for row in sheet.rows] == [[k, 2.5, 3.5] for k in range(8)]
+    assert sheet.remarks[-1] == "3 comments are passed over, the first one in line 3"
+
+
+def test_comments_in_a_list_tear_it_no_more(folder: Path) -> None:
+    contents = "joints = np.array([\n [1, 2, 3],  # home\n [2, 3, 4],\n [3, 4, 5],  # above, 300 mm\n])\n"
+    sheet = made(folder, contents)
+    assert sheet.titles == ("joints_0", "joints_1", "joints_2")
+    assert sheet.rows == (("1", "2", "3"), ("2", "3", "4"), ("3", "4", "5"))
+
+
+@pytest.mark.parametrize("behind", ["  # {}", "; ! {} {k}", " ; {}"])
+def test_words_behind_lines_that_come_again_tell_kinds(folder: Path, behind: str) -> None:
+    words = ["target", "actual", "target", "actual"]
+    lines = "".join(f"q = [{k}.5, 2.5, 3.5]{behind.format(word, k=k)}\n" for k, word in enumerate(words))
+    lines += "q = [9.5, 2.5, 3.5] # the last one\n"
+    with pytest.raises(calib.MeasurementError, match=r"2 rows as .*--topic target\); 2 rows as .*--topic actual\)"):
+        made(folder, lines)
+
+
+def test_what_is_no_comment_stays(folder: Path) -> None:
+    """Of lines of one kind nothing is passed over, nor a share, nor numbers that are set behind a sign."""
+    shares = "".join(f"q=[{k}, 2, 3] at 100% speed x={k}\n" for k in range(3))
+    assert made(folder, shares).titles == ("q_0", "q_1", "q_2", "at", "x")
+    numbered = "".join(f"q=[{k}, 2, 3] # pose {k}\n" for k in range(3))
+    assert made(folder, numbered).titles == ("q_0", "q_1", "q_2", "pose")
+    with pytest.raises(calib.MeasurementError, match="has several kinds of lines"):
+        made(folder, "q=[1, 2, 3] # was [2, 2, 2]\nq=[1, 2, 3]\n")
+
+
 @pytest.mark.parametrize("minus", ["-", "\u2212", "- ", "\u2212 ", "-\t"])
 def test_a_minus_that_stands_apart_or_is_of_typesetters_is_one(folder: Path, minus: str) -> None:
     rows = (f"pose-{k}: q=[{minus}0.5, 2.5, {minus}{k}.25] r=({minus}1 2 3)\n" for k in range(3))

@@ -43,6 +43,7 @@ _PACKED = 15
 _OBJECT = 17
 # Of an element, what holds its class, dimensions and name.
 _HEAD = 300
+_MOST_AXES = 3
 # Of an array in an archive, what says its kind and shape: some hundred characters. NumPy takes it apart as Python.
 _LONGEST_HEADER = 1000
 
@@ -53,19 +54,27 @@ def from_npz(data: bytes, where: str) -> Rows:
     The columns of an array ``q`` are ``q_0``, ``q_1``, ..., those of a point (N, 3) ``p_x``, ``p_y``, ``p_z``, those of
     matrices ``T_0_3``. Other arrays, and such as hold neither numbers nor words, are left out, and said.
     """
+    held = held_in_npz(data, where)
+    arrays = {name: array for name, array in held.items() if array is not None and array.ndim > 0}
+    return _as_columns(arrays, list(held), where)
+
+
+def held_in_npz(data: bytes, where: str) -> Mapping[str, npt.NDArray[np.generic] | None]:
+    """Return the arrays of an archive, with at most three dimensions; None for what holds neither numbers nor words.
+
+    Raises MeasurementError where it cannot be read, or unpacks to more than 200 MB.
+    """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(member.file_size for member in archive.infolist())
         if size > _LARGEST:
             raise MeasurementError(f"{where}: unpacks to more than {_LARGEST} bytes.")
         with np.load(io.BytesIO(data), allow_pickle=False, max_header_size=_LONGEST_HEADER) as held:
-            names = list(dict.fromkeys(held.files))
-            arrays = {name: array for name in names if (array := _readable(held, name)) is not None}
+            return {name: _readable(held, name) for name in dict.fromkeys(held.files)}
     except MeasurementError:
         raise
     except (zipfile.BadZipFile, tokenize.TokenError, *DAMAGED) as e:
         raise MeasurementError(f"{where}: is no archive of arrays that can be read.") from e
-    return _as_columns(arrays, names, where)
 
 
 def from_mat(data: bytes, where: str) -> Rows:
@@ -182,7 +191,8 @@ def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[s
     if lens := _only_a_lens(arrays):
         raise MeasurementError(
             f"{where}: {shown(lens)} is the matrix of a camera, with nothing that was measured beside it; a job takes "
-            "the numbers of a lens as fx, fy, cx, cy, k1 and so on, or the YAML of OpenCV, ROS or Kalibr as lens_file."
+            "the numbers of a lens as fx, fy, cx, cy, k1 and so on, or an .npz, or the YAML of OpenCV, ROS or Kalibr, "
+            "as lens_file."
         )
     if _are_one_record(arrays.values()):
         return _as_record(arrays, names, where)
@@ -291,7 +301,7 @@ def _readable(held: "np.lib.npyio.NpzFile", name: str) -> npt.NDArray[np.generic
         array = np.asarray(held[name])
     except ValueError:
         return None
-    if array.dtype.kind not in "iufU" or array.ndim not in (1, 2, 3) or not array.size or not _are_words(array):
+    if array.dtype.kind not in "iufU" or array.ndim > _MOST_AXES or not array.size or not _are_words(array):
         return None
     return array
 

@@ -1,4 +1,4 @@
-"""Lenses as others write them: OpenCV's FileStorage, ROS's camera_info, Kalibr's camchain, all of them YAML."""
+"""Lenses as others write them: OpenCV's FileStorage, ROS's camera_info, Kalibr's camchain, all YAML; NumPy's .npz."""
 
 import math
 import re
@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from calib.foundations.csv_text import text_of
-from calib.foundations.errors import JobError
+from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.units import NUMBER
 from calib.foundations.words import refuse_other, shown
+from calib.measurement.formats.arrays import held_in_npz
 from calib.measurement.formats.yaml_events import read_yaml, written
 from calib.measurement.lens import BENT, RATIONAL, Lens
 
@@ -20,14 +21,16 @@ _HEADER, _TAG = re.compile(r"\A%YAML[: ]1\.\d\s*"), re.compile(r"!!opencv-matrix
 # Keys that say how a lens is described, and models whose numbers would be taken for those of another.
 _OF_A_MODEL = re.compile("(?i)model|type|projection")
 _OTHER_MODEL = re.compile("(?i)fish.?eye|equidist|kannala|omni(?!.?vision)|double.?sphere|unified|scaramuzza")
+_ARCHIVE = ".npz"
 _WHOLE = re.compile(r"\+?[0-9]{1,9}")
-_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "CameraMatrix", "K", "k")
+_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "CameraMatrix", "mtx", "K", "k")
 _BENT = (
     "distortion_coefficients",
     "Distortion_Coefficients",
     "dist_coeffs",
     "dist_coeff",
     "distCoeffs",
+    "dist",
     "D",
     "d",
 )
@@ -39,11 +42,11 @@ _MODELS = {"plumb_bob": BENT, "rational_polynomial": (*BENT, *RATIONAL), "radtan
 
 
 def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
-    """Return the lens that a YAML file states, and the size (w, h) of its images where it does.
+    """Return the lens that a YAML file, or an .npz, states, and the size (w, h) of its images where it does.
 
     Raises JobError where it holds no lens, or one of a model that is not ours.
     """
-    found = _yaml(path)
+    found = _npz(path) if path.suffix.lower() == _ARCHIVE else _yaml(path)
     if isinstance(cam := found.get("cam0"), Mapping):  # Kalibr: camera_model, intrinsics fu fv pu pv, resolution
         if cam.get("camera_model") != "pinhole" or cam.get("distortion_model") not in ("radtan", "none", None):
             raise JobError(
@@ -117,6 +120,19 @@ def _yaml(path: Path) -> Mapping[str, Any]:
     if not isinstance(found, Mapping):
         raise JobError(f"{path}: holds no lens: it is no mapping of names.")
     return found
+
+
+def _npz(path: Path) -> Mapping[str, Any]:
+    """Return the arrays of an archive by their names, in lists of numbers as they are written in YAML."""
+    try:
+        held = held_in_npz(read_bytes(path, JobError, _LARGEST), str(path))
+    except MeasurementError as e:
+        raise JobError(str(e)) from e
+    return {name: _as_written(array.tolist()) for name, array in held.items() if array is not None and array.ndim < 3}
+
+
+def _as_written(value: Any) -> Any:
+    return [_as_written(one) for one in value] if isinstance(value, list) else str(value)
 
 
 def _documents(yaml: Any, text: str, loader: Any) -> list[Any]:

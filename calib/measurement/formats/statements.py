@@ -12,6 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
+from itertools import accumulate, groupby
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -120,12 +121,17 @@ def from_statements(data: bytes, where: str, part: str | None = None) -> Rows | 
         with_lists = _with_word(with_lists, part)
         if not with_lists:
             raise MeasurementError(f"{where}: no line with numbers in brackets has the word {shown(part)}.")
-    every = [row for one in with_lists for row in _rows_of(one, len(with_lists) == 1)]
-    if part is not None:  # lists in a list have the word of what they are in, or none
-        every = _with_word(every, part) or every
-    if not every:
+    if not with_lists:
         return None
-    kinds = _kinds(every)
+    every, kinds = _rows_and_kinds(with_lists, part)
+    passed_over: list[str] = []
+    if len(kinds) > 1 or len(every) == 1:
+        bare, comments = _without_free_comments(with_lists)
+        rows_of_bare, kinds_of_bare = _rows_and_kinds(bare, part)
+        if len(kinds_of_bare) < len(kinds) or (len(kinds_of_bare) == 1 and len(rows_of_bare) > len(every)):
+            every, kinds = rows_of_bare, kinds_of_bare
+            many = counted(len(comments), "comment is passed over", "comments are passed over")
+            passed_over = [f"{many}, the first one in line {comments[0].line}"]
     if len(kinds) > 1:
         told = "; ".join(
             f"{counted(len(kind), 'row')} as {_told(kind[0], _word_of(kind, every))}" for kind in kinds[:_MOST_TOLD]
@@ -139,7 +145,17 @@ def from_statements(data: bytes, where: str, part: str | None = None) -> Rows | 
     titles, rows = _table(kinds[0], where)
     said = [f"{counted(len(rows), 'row')} as {_told(kinds[0][0])}"]
     said += [counted(others, "other line is passed over", "other lines are passed over")] if others else []
-    return titles, rows, tuple(said)
+    return titles, rows, (*said, *passed_over)
+
+
+def _rows_and_kinds(
+    statements: Sequence[_Statement], part: str | None
+) -> tuple[list[_Statement], list[list[_Statement]]]:
+    """Return the rows that statements are, and the kinds of these."""
+    every = [row for one in statements for row in _rows_of(one, len(statements) == 1)]
+    if part is not None:  # lists in a list have the word of what they are in, or none
+        every = _with_word(every, part) or every
+    return every, _kinds(every)
 
 
 def _refuse_decimal_commas(kind: Sequence[_Statement], where: str) -> None:
@@ -331,6 +347,53 @@ def _code(tokens: Sequence[_Token], depth: int) -> Sequence[_Token]:
     return tokens[:at] if opened > 0 or (opened < 0 and depth + sum(steps[:at]) <= 0) else tokens
 
 
+def _without_free_comments(statements: Sequence[_Statement]) -> tuple[list[_Statement], list[_Token]]:
+    """Return statements without the comments that stand behind their lines, and the first sign of each that is left.
+
+    Words that come again behind another line may tell kinds, as ``! target`` does: such a comment stays.
+    """
+    lines = [[list(line) for _, line in groupby(one.tokens, lambda token: token.line)] for one in statements]
+    begins = [[_comment_in(line) for line in every] for every in lines]
+    words = Counter(
+        _words_of(line[at:])
+        for every, own in zip(lines, begins, strict=True)
+        for line, at in zip(every, own, strict=True)
+        if at < len(line)
+    )
+    found, first = [], []
+    for every, own in zip(lines, begins, strict=True):
+        tokens: list[_Token] = []
+        for line, at in zip(every, own, strict=True):
+            is_free = at < len(line) and words[_words_of(line[at:])] == 1
+            tokens += line[:at] if is_free else line
+            first += [line[at]] if is_free else []
+        found.append(_Statement(tuple(tokens)))
+    return found, first
+
+
+def _words_of(tokens: Sequence[_Token]) -> tuple[str, ...]:
+    return tuple(token.text for token in tokens if token.kind in ("word", "text"))
+
+
+def _comment_in(tokens: Sequence[_Token]) -> int:
+    """Return at which token of a line a comment begins, as many as there are where none does.
+
+    It has words and no list, and no bracket of what stands before it closes in it. ``100%`` begins none, and a
+    semicolon only behind a bracket, where nothing is set to something.
+    """
+    texts = [token.text for token in tokens]
+    is_mark = [text in _ONE_SIGN or texts[k : k + 2] == ["/", "/"] for k, text in enumerate(texts)]
+    for k in range(1, len(tokens)):
+        is_of_krl = texts[k] == ";" and texts[k - 1] in _PAIRS and "=" not in texts[k:] and not any(is_mark[k + 1 :])
+        if not (is_mark[k] or is_of_krl) or (tokens[k].glued and tokens[k - 1].kind != "sign"):
+            continue
+        rest = tokens[k:]
+        depths = list(accumulate((text in _PAIRS.values()) - (text in _PAIRS) for text in texts[k:]))
+        if min(depths) >= 0 and depths[-1] == 0 and _words_of(rest) and not _lists(rest):
+            return k
+    return len(tokens)
+
+
 def _without_comment(tokens: Sequence[_Token]) -> tuple[_Token, ...]:
     """Return tokens without the comment that a number in brackets may have, as FANUC's ``P[2:"above the part"]``."""
     texts = [token.text for token in tokens]
@@ -408,7 +471,11 @@ def _name_before(tokens: Sequence[_Token], at: int) -> tuple[_Token, ...]:
 
 
 def _kinds(every: Sequence[_Statement]) -> list[list[_Statement]]:
-    """Return the statements of every kind: of the same shape, and with the same words where these are no names."""
+    """Return the statements of every kind: of the same shape, and with the same words where these are no names.
+
+    What numbers are called by one by one, as ``X`` and ``A1`` in ``{X 1, Y 2, Z 3}`` and ``{A1 1, A2 2, A3 3}``, is no
+    name either.
+    """
     shapes: dict[tuple[str, ...], list[_Statement]] = {}
     for statement in every:
         shapes.setdefault(statement.shape, []).append(statement)
@@ -421,9 +488,27 @@ def _kinds(every: Sequence[_Statement]) -> list[list[_Statement]]:
         ]
         found: dict[tuple[str, ...], list[_Statement]] = {}
         for statement in alike:
-            found.setdefault(tuple(statement.tokens[k].text for k in labels), []).append(statement)
+            told = (*(statement.tokens[k].text for k in labels), *_calling(statement.tokens))
+            found.setdefault(told, []).append(statement)
         kinds += list(found.values())
     return kinds
+
+
+def _calling(tokens: Sequence[_Token]) -> list[str]:
+    """Return the words, without their numbers, that stand before each of the numbers in brackets, if all have one."""
+    found: list[str] = []
+    open_: list[list[str | None]] = []
+    for k, token in enumerate(tokens):
+        if token.text in _PAIRS.values():
+            open_.append([])
+        elif token.text in _PAIRS and open_:
+            own = open_.pop()
+            words = [word for word in own if word is not None]
+            found += words if len(own) == len(words) >= _FEWEST else []
+        elif token.kind == "number" and open_:
+            before = tokens[k - 2 if tokens[k - 1].text in ("=", ":") else k - 1]
+            open_[-1].append("".join(_PART.findall(before.text)) if before.kind == "word" else None)
+    return found
 
 
 def _is_label(words: Sequence[str]) -> bool:
