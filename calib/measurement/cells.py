@@ -244,11 +244,12 @@ def refuse_ragged(rows: Sequence[Sequence[str]], width: int, block: Sequence[Lin
         if len(found) == width:
             continue
         by_commas = text.count(",") >= len(found) - 1 and not _PARTED.search(text)
+        one_more = len(rows) > 1 and all(len(row) == width + 1 and row[-1] for row in rows)
         if len(found) < width and not ended:
             hint = ", and the file ends within this row: it seems truncated"
-        elif len(found) > width and found[-1] and by_commas and "." not in text:
+        elif len(found) > width and found[-1] and by_commas and not (one_more and "." in text):
             hint = "; if these are decimal commas, write points, or separate the cells by semicolons"
-        elif len(rows) > 1 and all(len(row) == width + 1 and row[-1] for row in rows):
+        elif one_more:
             hint = "; a title is missing, which R gives the names of rows by write.table(..., col.names = NA)"
         else:
             hint = ""

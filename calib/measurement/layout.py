@@ -191,14 +191,15 @@ def header_of(rows: Sequence[Sequence[str]], separator: str) -> int:
     """Return which of the first rows of a table is its header.
 
     It is the first one that has as many cells as the first row of numbers, most of them filled: a spreadsheet fills up
-    every line to the width of the table, those above the header as well. Where none has as many, it is the one above
-    the numbers.
+    every line to the width of the table, those above the header as well. Where none has as many, it is the last
+    one without numbers above it.
     """
     data_row = _first_of_data(rows, separator) or 0
     like_data = [i for i in range(data_row) if len(rows[i]) == len(rows[data_row])]
     like_data = [i for i in like_data if i == like_data[-1] or not units_of(rows[i])]  # units may be above
-    nearest = like_data[0] if like_data else max(data_row - 1, 0)
-    return next((i for i in like_data if _is_filled(rows[i])), nearest)
+    if not like_data:
+        return next((i for i in range(data_row - 1, 0, -1) if not _is_data(rows[i], separator)), 0)
+    return next((i for i in like_data if _is_filled(rows[i])), like_data[0])
 
 
 def with_point(cell: str, separator: str) -> str:
