@@ -66,6 +66,9 @@ _LETTERS: tuple[tuple[tuple[str, str, str], str | None], ...] = (
 )
 _TARGETS = frozenset(("target", "socket", "hole", "anchor", "ball", "sphere"))
 _LENGTHS = frozenset(("length", "distance", "dist", "range"))
+_NAME_OF, _POSITION_OF = (
+    re.compile(rf"(?i)(|.*[^a-z]){word}s?([^a-z]*[0-9]+[^a-z0-9]*)") for word in ("name", "position")
+)
 _CELL = re.compile(r"(.*?)\[?([0-4])[,_ ]?([0-4])\]?")
 
 Rank = Literal[0, 1, 2]  # said to be measured; nothing said; said to be commanded
@@ -376,6 +379,9 @@ def joints_by_name(table: RawTable, readings: Sequence[str], among: frozenset[in
 
     ``among``: the columns that may be joints.
     """
+    stated = {name: k for k, name in _stated_names(table).items() if k in among}
+    if readings and all(name in stated for name in readings):
+        return [Joints(tuple(stated[name] for name in readings), 1, "by the names that columns beside them have", True)]
     # A column that is called just as a reading goes before one that only capitals tell apart.
     in_order = sorted(among, key=lambda k: (table.columns[k].name not in readings, k))
     parts = {k: tokens(table.columns[k].name) for k in in_order}
@@ -412,9 +418,27 @@ def named_among(table: RawTable, readings: Iterable[str], among: frozenset[int])
     parts = [tokens(table.columns[k].name) for k in among]
     cores = {_core(part) for part in parts}
     wanted = {name: tokens(name) for name in readings}
+    stated = {name for k, name in _stated_names(table).items() if k in among}
     # Every run of words in a column's name that is as long as a reading's.
     runs = {part[i : i + n] for n in set(map(len, wanted.values())) for part in parts for i in range(len(part) - n + 1)}
-    return frozenset(name for name, words in wanted.items() if words in runs or _core(words) in cores)
+    return frozenset(name for name, words in wanted.items() if name in stated or words in runs or _core(words) in cores)
+
+
+def _stated_names(table: RawTable) -> dict[int, str]:
+    """Return the names of columns of positions for which others have one word in all rows.
+
+    ``rostopic echo -p`` writes the names of joints so: elbow_joint below ``field.name0``, of ``field.position0``.
+    """
+    words = {
+        (match[1], match[2]): column.words[0]
+        for column in table.columns
+        if column.numbers is None and len(set(column.words)) == 1 and (match := _NAME_OF.fullmatch(column.name))
+    }
+    matches = {
+        k: _POSITION_OF.fullmatch(column.name) for k, column in enumerate(table.columns) if column.numbers is not None
+    }
+    found = {k: words[match[1], match[2]] for k, match in matches.items() if match and (match[1], match[2]) in words}
+    return found if len(set(found.values())) == len(found) else {}
 
 
 def _core(part: Sequence[str]) -> tuple[str, ...]:

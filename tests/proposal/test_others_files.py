@@ -425,3 +425,24 @@ def test_one_row_below_titles_and_units_between_blanks_is_one(folder: Path) -> N
     (folder / "measured.txt").write_text("J1 J2 x\ndeg deg mm\n1 2 3\n")
     assert read_sheet("measured.txt").titles == ("J1 [deg]", "J2 [deg]", "x [mm]")
     assert read_sheet("measured.txt").rows == (("1", "2", "3"),)
+
+
+@pytest.mark.parametrize("form", ["field.{}{}", "/arm/joint_states/{}[{}]", "{}_{}"])
+def test_positions_have_the_names_that_stand_beside_them(folder: Path, form: str) -> None:
+    """As rostopic echo -p writes the states of joints, which drivers have in an order of their own."""
+    s = session()
+    names = [reading.name for reading in calib.load_robot(UR10, tip="tool0").readings]
+    order = [2, 1, 0, 3, 4, 5]
+    titles = [form.format(what, k) for what in ("name", "position", "velocity") for k in range(6)]
+    words = np.tile(np.array(names)[order], (len(s.readings), 1))
+    columns = [words, s.readings[:, order], np.zeros((len(s.readings), 6)), s.position]
+    (folder / "a.csv").write_text(text([*titles, "x", "y", "z"], columns))
+    found = calib.measuring.propose(UR10, ["a.csv"])
+    assert not found.questions, found.questions
+    read = found.tables[0].columns.names
+    assert [read[f"{name} [rad]"] for name in names] == [form.format("position", order.index(k)) for k in range(6)]
+    # Other names are those of another robot, or of nothing: the numbers of the columns count.
+    (folder / "a.csv").write_text(text([*titles, "x", "y", "z"], [np.char.add(words, "_x"), s.readings, *columns[2:]]))
+    found = calib.measuring.propose(UR10, ["a.csv"])
+    assert not found.questions, found.questions
+    assert [found.tables[0].columns.names[f"{name} [rad]"] for name in names] == titles[6:12]
