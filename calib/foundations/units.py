@@ -89,13 +89,20 @@ DISPLAY_OF: dict[str, Display] = {"length": DISPLAY["m"], "angle": DISPLAY["rad"
 
 # How others write them. Case is theirs, but for Nm, which is no nanometre.
 _SPELLINGS: dict[str, tuple[str, ...]] = {
-    "m": ("meter", "meters", "metre", "metres"),
+    "m": ("meter", "meters", "metre", "metres", "\u7c73"),
     "cm": ("centimeter", "centimeters", "centimetre", "centimetres"),
-    "mm": ("millimeter", "millimeters", "millimetre", "millimetres"),
+    "mm": (
+        *("millimeter", "millimeters", "millimetre", "millimetres", "millim\u00e8tre", "millim\u00e8tres"),
+        *("mil\u00edmetro", "mil\u00edmetros", "millimetri", "\u6beb\u7c73"),
+    ),
     "um": ("\u00b5m", "\u03bcm", "micron", "microns", "micrometer", "micrometre"),
     "inch": ("in", "inches", "zoll"),
-    "rad": ("radian", "radians"),
-    "deg": ("\u00b0", "\u00ba", "degree", "degrees"),
+    "rad": ("radian", "radians", "\u5f27\u5ea6"),
+    # Also what German calls them; the hundredth of a right angle, of surveyors, is "gon" there, and in no robot.
+    "deg": (
+        *("\u00b0", "\u00ba", "degree", "degrees", "grad", "degr\u00e9", "degr\u00e9s", "grado", "grados", "gradi"),
+        "\u5ea6",
+    ),
     "s": ("sec", "second", "seconds"),
     "ms": ("msec", "millisecond", "milliseconds"),
     "degC": ("\u00b0c", "\u00bac", "celsius", "deg c"),

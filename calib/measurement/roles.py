@@ -251,7 +251,10 @@ def _by_axis(names: Sequence[str], numeric: Iterable[int]) -> Iterator[tuple[_Ax
         for i, part in enumerate(parts):
             for letter, stem, own in {(part[-1], part[:-1], written[i][-1]), (part[0], part[1:], written[i][0])}:
                 if letter in "xyzw":
-                    both, *cases = found.setdefault(_Axis(parts[:i], stem, parts[i + 1 :]), ({}, {}, {}))
+                    # Mx is a moment, and Xm a point.
+                    behind_m = stem == "m" and part[0] == letter
+                    key = _Axis(parts[:i], "" if behind_m else stem, (*("m" * behind_m), *parts[i + 1 :]))
+                    both, *cases = found.setdefault(key, ({}, {}, {}))
                     both.setdefault(letter, k)
                     cases[own.isupper()].setdefault(letter, k)
     for key, (both, *cases) in found.items():

@@ -446,3 +446,29 @@ def test_positions_have_the_names_that_stand_beside_them(folder: Path, form: str
     found = calib.measuring.propose(UR10, ["a.csv"])
     assert not found.questions, found.questions
     assert [found.tables[0].columns.names[f"{name} [rad]"] for name in names] == titles[6:12]
+
+
+@pytest.mark.parametrize(
+    ("angle", "length"), [("Grad", "mm"), ("degr\u00e9s", "Millim\u00e8tre"), ("\u5ea6", "\u6beb\u7c73")]
+)
+def test_units_in_other_languages(folder: Path, angle: str, length: str) -> None:
+    s = session()
+    titles = [*(f"A{k} [{angle}]" for k in range(1, 7)), *(f"{axis} [{length}]" for axis in "XYZ")]
+    (folder / "a.csv").write_text(text(titles, [np.degrees(s.readings), 1e3 * s.position]))
+    found = calib.measuring.propose(UR10, ["a.csv"])
+    assert not found.questions, found.questions
+    read = found.tables[0].columns.names
+    assert read["x [mm]"] == f"X [{length}]"
+    assert sum(name.endswith(" [deg]") for name in read) == 6
+
+
+def test_a_letter_behind_an_axis_makes_no_moment_of_it(folder: Path) -> None:
+    """Xm beside the X that the controller computed was not seen, and so X was taken for measured."""
+    s = session()
+    computed = s.flange[:, :3, 3]
+    titles = [*(f"A{k}" for k in range(1, 7)), *"XYZ", "Xm", "Ym", "Zm", "Mx", "My", "Mz"]
+    columns = [np.degrees(s.readings), 1e3 * computed, 1e3 * s.position, 1e3 * s.position]
+    (folder / "a.csv").write_text(text(titles, columns))
+    found = calib.measuring.propose(UR10, ["a.csv"])
+    assert not found.questions, found.questions
+    assert found.tables[0].columns.names["x [mm]"] == "Xm"
