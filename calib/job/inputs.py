@@ -57,7 +57,7 @@ class Inputs:
         """The losses of the sets to identify from."""
         return tuple(section.loss for section in self.job.measurements if section.use == "identify")
 
-    def tables(self, use: Literal["identify", "validate"]) -> tuple[str, ...]:
+    def tables(self, use: Literal["identify", "validate", "nodes"]) -> tuple[str, ...]:
         """Return the names, as the job has them, of the tables of one use."""
         return tuple(section.file for section in self.job.measurements if section.use == use)
 

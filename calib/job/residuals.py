@@ -8,6 +8,8 @@ import numpy as np
 
 from calib.assessment.comparison import paired
 from calib.assessment.gaussian_choice import MOST_JUDGED, bought
+from calib.assessment.judged import JudgedSet
+from calib.assessment.own_base import tables_with_own_base
 from calib.assessment.validation import row_groups
 from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
@@ -20,6 +22,7 @@ from calib.job.refusals import with_positions
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import GaussianResiduals, gaussian_from_residuals
 from calib.machine.grid import SectorGrid, axes_of, grid_from_residuals
+from calib.machine.of_fit import machine_of
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
 
@@ -93,6 +96,23 @@ def _setups(data: Measurements) -> set[str]:
 
 def _tools(data: Measurements) -> set[str]:
     return {data.tools[k] for k in data.tool}
+
+
+def moved_nodes(inputs: Inputs, fit: Fit) -> Iterable[Finding]:
+    """Yield which nodes ask for a base of their own: a residual model takes that motion for errors of the arm."""
+    if not inputs.nodes:
+        return
+    before, after = (residuals_of(fit, inputs.nodes, of) for of in (fit.nominal, fit.machine))
+    rows = zip(inputs.tables("nodes"), inputs.nodes, before, after, strict=True)
+    for one in tables_with_own_base(fit.model, machine_of(fit), [JudgedSet("validation", *table) for table in rows]):
+        if one.wide:
+            yield Finding.warning(
+                "nodes-moved",
+                f"{one.file}: these nodes fit better with a base of their own: their rms error would be "
+                f"{one.moved / MM:.4g} mm in the place of {one.error / MM:.4g} mm. If robot or instrument was moved "
+                "before they were measured, the residual model takes that for errors of the arm: measure the nodes "
+                "from where the other tables were measured.",
+            )
 
 
 def worse(machine: CalibratedMachine, fit: Fit, held_out: Sequence[Measurements]) -> Iterable[Finding]:

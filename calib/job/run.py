@@ -18,7 +18,7 @@ from calib.identification.initialisation.problem import initial_problem
 from calib.identification.total_differential import Trace, total_differential
 from calib.job.inputs import Inputs
 from calib.job.read import Progress
-from calib.job.residuals import residual_model, worse
+from calib.job.residuals import moved_nodes, residual_model, worse
 from calib.measurement.checks import Finding
 from calib.results.calibration import Calibration, LevelReport, Origin, assess
 
@@ -37,8 +37,8 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
         fit, reports = _climb(inputs, choice, progress)
         inputs = replace(inputs, findings=(*inputs.findings, *_left_behind(fit, inputs)))
         known, values, remark = residual_model(inputs, fit, progress)
-        if remark is not None:
-            inputs = replace(inputs, findings=(*inputs.findings, remark))
+        remarks = [*([] if remark is None else [remark]), *([] if known is None else moved_nodes(inputs, fit))]
+        inputs = replace(inputs, findings=(*inputs.findings, *remarks))
     trace = None
     if inputs.job.solver.kind == "total_differential":
         progress("following the total differential")

@@ -233,12 +233,13 @@ def assess(
     in_urdf = judged_in_urdf(fit, own, uses)
     if in_urdf is not None and in_urdf.fit is not fit:
         machine = replace(machine, in_urdf=machine_in_urdf(in_urdf.fit, machine))
-    sets: list[JudgedSet] = []
+    sets, without_model = list[JudgedSet](), list[JudgedSet]()
     for use, some in uses:
         before, after = residuals_of(fit, some, fit.nominal), residuals_of(fit, some, fit.machine)
         for table, b, a in zip(some, before, after, strict=True):
             left = a if table.position is None else machine.less_shifts(a, table)
-            sets.append(JudgedSet(use, given[len(sets)], table, b, left))
+            without_model.append(JudgedSet(use, given[len(sets)], table, b, a))
+            sets.append(without_model[-1]._replace(after=left))
     figures: dict[str, Mapping[str, Mapping[str, Metrics]]] = {
         use: {
             "before": metrics((judged.data.kind, judged.before) for judged in sets if judged.use == use),
@@ -252,7 +253,8 @@ def assess(
     findings = (*findings, *([] if told else _not_held_out(own, validation)), *_off_least_squares(fit))
     files = {table.where: name for name, table in zip(given, own, strict=False)}
     found = outliers(fit, files=files)
-    moved = tables_with_own_base(fit.model, machine, sets)
+    # A residual model of nodes that were measured from elsewhere moves the predictions of all other tables.
+    moved = tables_with_own_base(fit.model, replace(machine, residual_model=None), without_model)
     # Sentences call tables what the calibration calls them, and not what they are called on this computer.
     called = replace(
         fit, measurements=tuple(replace(data, where=files.get(data.where, data.where)) for data in fit.measurements)

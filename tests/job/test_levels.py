@@ -13,7 +13,7 @@ from calib.compensation.controllers.export import judged_readings
 from calib.foundations.errors import JobError, MeasurementError
 from calib.job import refusals
 from calib.job.inputs import load
-from calib.job.residuals import worse
+from calib.job.residuals import moved_nodes, worse
 from calib.job.run import run
 from calib.machine.grid import SectorGrid
 from calib.results.calibration import Calibration
@@ -208,3 +208,26 @@ def test_a_grid_that_adds_the_noise_of_its_nodes_alone_is_told(outcome: Calibrat
         np.concatenate([wrong.residuals(data) for data in held_out]),
     ))  # fmt: skip
     assert f"{after:.3g} mm rms with it, and {before:.3g} mm with the levels before it alone" in said.sentence
+
+
+def test_nodes_measured_from_elsewhere_are_told_and_no_other_table_is_blamed(outcome: Calibration) -> None:
+    """The tracker stood 2 mm elsewhere for the nodes: the grid then moves the predictions of tables that are right."""
+    inputs = load(CASE / "calibration.toml")
+    assert not list(moved_nodes(inputs, outcome.fit))
+    (nodes,) = inputs.nodes
+    stood = np.array([1e-3, -1e-3, 1.4e-3])
+    assert nodes.position is not None
+    moved = replace(nodes, position=nodes.position + stood)
+    (said,) = moved_nodes(replace(inputs, nodes=(moved,)), outcome.fit)
+    assert said.code == "nodes-moved"
+    assert said.sentence.startswith("nodes.csv: these nodes fit better with a base of their own")
+    grid = outcome.machine.residual_model
+    assert isinstance(grid, SectorGrid)
+    base = outcome.machine.base[:3, :3]
+    wrong = replace(grid, errors=grid.errors + base.T @ stood)
+    found = calib.assess(outcome.fit, inputs.validate, residual_model=wrong, findings=(said,))
+    passed = {check.name: check.passed for check in found.checks}
+    assert passed["set-ups"]
+    assert not passed["regions"]
+    assert not passed["input"]
+    assert said.sentence in found.doubts

@@ -51,6 +51,7 @@ COUNTED = (
     "metres-as-millimetres",
     "not-held-out",
     "copied-rows",
+    "nodes-moved",
     "prior-contradicted",
     "stated-contradicted",
 )
