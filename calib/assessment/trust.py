@@ -91,7 +91,7 @@ def verdict(
             of_rows.timing(timing(poses, C, fit.machine.frames.scalars), fit.model.robot),
             of_rows.at_rest(unsettled(parts, C)),
             of_rows.gear(moved_more, ratios(poses, C), fit, backward(moved_more, fit)),
-            of_rows.axes(strains(poses, C)),
+            of_rows.axes(strains(poses, C), moved_more),
             of_rows.resolution(rounding(parts, fit.model.robot), fit),
         )
         priors, scale = contradicted(fit, parts), of_arm.common_scale(fit, parts)

@@ -653,10 +653,36 @@ def test_axes_of_an_instrument_that_are_not_equal(cell: Cell) -> None:
         assert found.share == pytest.approx(0.01, rel=0.05)
         assert found.size > 5.0
         assert found.chance < 1e-20
-        assert not of_rows.axes([found]).passed
+        said = of_rows.axes([found], gains(tuple(pose_by_pose(part, C) for part in parts), C))
+        assert not said.passed
+        assert said.sentence.endswith("or not at right angles: is its scale right, are coordinates all of one kind?")
     # All of them too long is nothing that these rows can tell from links that are.
     (found,) = strains(*cell.effects(replace(data, position=1.003 * data.position)))
-    assert of_rows.axes([found]).passed
+    assert of_rows.axes([found], {}).passed
+
+
+@pytest.mark.parametrize("slide", [0, 1, 2])
+def test_a_slide_that_moves_too_far_is_named_where_it_explains_more_than_an_axis_of_the_instrument(
+    tmp_path: Path, slide: int
+) -> None:
+    """Half a per cent is less than a gear may be off."""
+    joints = [("lx", "prismatic", "0 0 0", "0 0 0", "1 0 0"), ("ly", "prismatic", "0 0 0.1", "0 0 0", "0 1 0")]
+    joints += [("lz", "prismatic", "0 0 0.2", "0 0 0", "0 0 1"), ("c", "revolute", "0 0 -0.1", "0 0 0", "0 1 0")]
+    (tmp_path / "gantry.urdf").write_text(machines.urdf(*joints))
+    robot = calib.load_robot(tmp_path / "gantry.urdf", tip="tip")
+    rng = np.random.default_rng(4)
+    q = rng.uniform([-0.1, -0.1, -0.1, -2.5], [0.7, 0.7, 0.7, 2.5], (60, 4))
+    went = q * (1.0 + 5e-3 * (np.arange(4) == slide)) + 1e-4 * np.sin(9.0 * q)
+    seen = went[:, :3] + Rotation.from_rotvec(went[:, 3:] * [0.0, 1.0, 0.0]).apply([0.15, 0.03, 0.1])
+    seen += rng.normal(scale=2e-5, size=seen.shape)
+    model = calib.error_model(robot, offsets="all", placements="all")
+    found = calib.assess(calib.identify(model, calib.positions(robot, q, seen, sigma=2e-5)))
+    checks = {check.name: check for check in found.checks}
+    assert checks["gear"].passed
+    assert not checks["axes"].passed
+    said = checks["axes"].sentence
+    assert f"more is explained if 'l{'xyz'[slide]}' moves by 0." in said
+    assert "% more than its reading says: is its gear ratio right" in said
 
 
 @pytest.mark.parametrize("seed", [7, 9, 11])
@@ -682,7 +708,7 @@ def test_of_points_nearly_in_a_plane_the_axis_across_it_tells_nothing(tmp_path: 
 
     def told(x: Array) -> bool:
         residue = Residue.of(calib.identify(model, calib.positions(robot, q, x, sigma=2e-5)), {})
-        return not of_rows.axes(strains(stretches(residue), residue.C)).passed
+        return not of_rows.axes(strains(stretches(residue), residue.C), {}).passed
 
     assert not told(turn.apply(seen))
     assert told(turn.apply(seen * [1.01, 1.0, 1.0]))

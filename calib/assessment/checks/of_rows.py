@@ -242,14 +242,25 @@ def _telling(fit: Fit, name: str) -> float:
     return float(squares.sum() ** 2 / np.sum(squares**2)) if squares.any() else 0.0
 
 
-def axes(found: Sequence[Strain]) -> Check:
-    """Whether an instrument's axes are of one length and at right angles."""
+def axes(found: Sequence[Strain], moved_more: Mapping[str, Effect]) -> Check:
+    """Whether an instrument's axes are of one length and at right angles; ``moved_more``: joints, than they say.
+
+    A joint that slides, and one that turns a SCARA, may look like an axis: what explains more is named.
+    """
     told = [one for one in found if one.chance < RARELY and one.size > SEEN]
     worst = max(told, key=lambda one: one.share, default=None)
     if worst is None:
         return Check.idle("axes", STRAIN, "The instrument's axes seem to be equally long.")
     said = f"{worst.file}: one axis of the instrument seems {100.0 * worst.share:.2g} % longer than another"
     more = ", or not at right angles: is its scale right, are coordinates all of one kind?"
+    better = [(one.size, name) for name, one in moved_more.items() if abs(one.t) > SURE and one.size > worst.size]
+    if better:
+        _, name = max(better)
+        by = moved_more[name].value
+        more = (
+            f", but more is explained if {name!r} moves by {100.0 * abs(by):.2g} % {'more' if by > 0.0 else 'less'} "
+            "than its reading says: is its gear ratio right, or else the scale of the instrument?"
+        )
     return Check.judged("axes", worst.share, STRAIN, said, more)
 
 
