@@ -1,12 +1,14 @@
 """What is wrong where a fit is doubted: what leaves least, where it is taken for otherwise than the job says.
 
-A few rows that lie far off, a length that is stated wrong, and a prior that holds the arm where it is not, bend a
-whole fit: what is left then looks like a base or a target that moved, and checks that are made for those say so. So a
-fit that is doubted is tried once with such rows passed over, by a robust loss, once with lengths that are stated free,
-each of its own, and once without the priors that are stated. A cause is named where it brings the scatter to half or
-less, of rows held out as well, and all checks of what else may be wrong then pass; of several, that which leaves
-least. Rows that lie far off, all by one motion of base, tool or a joint, are no such rows: something moved. A row that
-is held out may be one as well: it bends nothing, but what is left of all held out is then nearly its own.
+A few rows that lie far off, a length that is stated wrong, of rows or between targets, and a prior that holds the arm
+where it is not, bend a whole fit: what is left then looks like a base or a target that moved, and checks that are made
+for those say so. So a fit that is doubted is tried once with such rows passed over, by a robust loss, once with lengths
+that are stated free, each of its own, once without what is stated between targets, and once without the priors that
+are stated. A cause is named where it brings the scatter to half or less, of rows held out as well, and all checks of
+what else may be wrong then pass; of several, that which leaves least. What is stated between targets is a cause where
+rows miss it by more than chance. Rows that lie far off, all by one motion of base, tool or a joint, are no such rows:
+something moved. A row that is held out may be one as well: it bends nothing, but what is left of all held out is then
+nearly its own.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,7 +32,10 @@ from calib.foundations.words import noun
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near, residuals_of
 from calib.identification.losses import Loss
-from calib.identification.parameters import Parameter
+from calib.identification.machine import values_at
+from calib.identification.parameters import Parameter, scales
+from calib.identification.relations import Relation
+from calib.identification.system import Problem, related
 from calib.measurement.kinds import QUANTITIES
 from calib.measurement.measurements import Measurements
 from calib.measurement.scalars import Scalar
@@ -70,7 +75,11 @@ def causes(fit: Fit, sets: Sequence[JudgedSet]) -> tuple[Cause, ...]:
         or [len(one.data) for one in own] != [len(data) for data in fit.measurements]
     ):
         return ()
-    found = [one for find in (_passed_over, _other_lengths, _without_priors) if (one := find(fit, sets)) is not None]
+    found = [
+        one
+        for find in (_passed_over, _other_lengths, _other_relations, _without_priors)
+        if (one := find(fit, sets)) is not None
+    ]
     return tuple(sorted(found, key=lambda one: one.left))
 
 
@@ -255,6 +264,54 @@ def _lengths_said(wrong: Sequence[tuple[Measurements, float]]) -> str:
         each = ", ".join(f"{-value / MM:+.4g} mm" for _, value in wrong[:_LISTED])
         said = f"lengths to {which} are off by {each}: is what belongs to all of them counted"
     return f"{first.where}: what is left is explained if {said}? length_offset lets this be found."
+
+
+# ---- what is stated between targets
+
+
+def _other_relations(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
+    """Return what is left if distances, angles and steps between targets are what rows say."""
+    if not fit.model.relations:
+        return None
+    model = replace(fit.model, relations=())
+    try:
+        found = identify_near(fit, model.within(fit.measurements), fit.measurements, losses=fit.losses)
+        judged = _judged(found, sets, [one.data for one in sets])
+    except CalibError:
+        return None
+    if not found.converged:
+        return None
+    found = replace(found, model=model)
+    missed, variance = _of_relations(found, fit.model.relations)
+    wrong = np.abs(missed) > SURE * np.sqrt(1.0 + variance)
+    if not wrong.any():
+        return None
+    said = ", and ".join(
+        _relation_said(fit.model.relations[k], fit.model.relations[k].sigma * float(missed[k]))
+        for k in np.flatnonzero(wrong)
+    )
+    # Of what they are missed by, chance would leave so much.
+    share = float(np.max((1.0 + variance[wrong]) / missed[wrong] ** 2))
+    return Cause(f"What is left is explained if {said}: measure that again.", found, judged, share)
+
+
+def _of_relations(fit: Fit, relations: Sequence[Relation]) -> tuple[Array, Array]:
+    """Return by how much a fit misses relations (k,), stated minus found, and the variance of that, in their sigmas."""
+    frames, deviations = fit.machine.frames, fit.machine.deviations
+    problem = Problem(fit.model, fit.parameters, frames, fit.measurements, deviations, tuple(relations), fit.losses)
+    found = related(problem, values_at(fit.model.robot, fit.parameters, frames, deviations))
+    J = found[:, :-1] / scales(fit.parameters)
+    return found[:, -1], np.einsum("kp,pq,kq->k", J, fit.covariance, J)
+
+
+def _relation_said(relation: Relation, missed: float) -> str:
+    """Return what is said of a relation that is missed by so much, stated minus found."""
+    what = {"distance": "distance between", "angle": "angle between", "offset": "step from"}[relation.kind]
+    unit, of, digits = ("deg", np.pi / 180.0, 3) if relation.kind == "angle" else ("mm", MM, 2)
+    first, second = map(repr, relation.targets)
+    seems, stated = (f"{value / of:.{digits}f} {unit}" for value in (relation.value - missed, relation.value))
+    between = "to" if relation.kind == "offset" else "and"
+    return f"the {what} {first} {between} {second} is {seems} where {stated} is stated"
 
 
 # ---- priors that hold the arm where it is not

@@ -119,3 +119,32 @@ def test_a_radius_that_is_told_as_a_diameter(factor: float) -> None:
     else:
         assert f"mm from the centre and not {1e3 * stated[0, 0]:.4g} mm" in told(found)
         assert not any("seems to have moved" in doubt for doubt in found.doubts)
+
+
+@pytest.mark.parametrize("off", [0.5e-3, 0.0])
+def test_a_distance_of_targets_that_is_stated_wrong_is_named_and_not_a_target_that_moved(off: float) -> None:
+    """Draw wires from two places, whose distance was measured; a tracker tells where the places are."""
+    rng = np.random.default_rng(6)
+    robot = calib.load_robot(*UR5)
+    machine = machines.Machine(
+        machines.arm(*UR5).moved(rng), machines.anywhere(rng), {"tool": machines.pose((0.05, 0.02, 0.15))}
+    )
+    data, rest = (machine.measure(robot, rng.uniform(-2, 2, (n, 6)), rng=rng, sigma=3e-5) for n in (50, 20))
+    places = machine.base[:3, 3] + np.array([(0.9, 0.8, 0.1), (-0.9, 0.7, 0.4)])
+    q = rng.uniform(-2, 2, (60, 6))
+    of = np.arange(60) % 2
+    lengths = np.linalg.norm(machine.see(q)[:, :3, 3] - places[of], axis=1) + rng.normal(scale=3e-5, size=60)
+    columns = {f"{joint} [rad]": q[:, k] for k, joint in enumerate(machine.arm.ranges)}
+    columns |= {"length [m]": lengths, "target": [("left", "right")[k] for k in of]}
+    wires = calib.read_measurements(columns, robot, "distance", sigma=3e-5)
+    apart = float(np.linalg.norm(places[1] - places[0]))
+    stated = calib.measuring.Relation("distance", ("left", "right"), apart + off, 1e-5)
+    model = calib.error_model(robot, offsets="all", placements="all", known=calib.Known(relations=[stated]))
+    found = calib.assess(calib.identify(model, [data, wires]), rest)
+    assert found.trusted is (off == 0.0), found.doubts
+    if off:
+        assert "the distance between 'left' and 'right' is" in told(found)
+        assert f"where {1e3 * stated.value:.2f} mm is stated" in told(found)
+        seems = float(told(found).split(" mm where ")[0].rpartition(" ")[2])
+        assert seems == pytest.approx(1e3 * apart, abs=0.1)
+        assert not any("seems to have moved" in doubt for doubt in found.doubts)
