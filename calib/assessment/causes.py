@@ -27,7 +27,7 @@ from calib.assessment.stretches import Stretch, stretches
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound, exceeded
 from calib.foundations.errors import CalibError
-from calib.foundations.units import MM
+from calib.foundations.units import DEG, MM
 from calib.foundations.words import noun
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near, residuals_of
@@ -307,7 +307,7 @@ def _of_relations(fit: Fit, relations: Sequence[Relation]) -> tuple[Array, Array
 def _relation_said(relation: Relation, missed: float) -> str:
     """Return what is said of a relation that is missed by so much, stated minus found."""
     what = {"distance": "distance between", "angle": "angle between", "offset": "step from"}[relation.kind]
-    unit, of, digits = ("deg", np.pi / 180.0, 3) if relation.kind == "angle" else ("mm", MM, 2)
+    unit, of, digits = ("deg", DEG, 3) if relation.kind == "angle" else ("mm", MM, 2)
     first, second = map(repr, relation.targets)
     seems, stated = (f"{value / of:.{digits}f} {unit}" for value in (relation.value - missed, relation.value))
     between = "to" if relation.kind == "offset" else "and"
