@@ -191,14 +191,18 @@ def _counts(causes: Mapping[Any, int]) -> tuple[int, int, int]:
     return instrument, parameters, model
 
 
-def _left_out(found: UncertaintyFile, waves: WavesEntry, robot: Robot) -> LeftOut | None:
-    """Return what is left out along the readings; None where it is not of this robot."""
+def _left_out(found: UncertaintyFile, waves: WavesEntry, robot: Robot, columns: int) -> LeftOut | None:
+    """Return what is left out along the readings; None where it is not of this robot.
+
+    Where the file does not say how it goes together it takes a column of the factor for each, of which there are
+    ``columns``: one too many is enough to tell that they are too few, of tens of thousands that nobody wrote.
+    """
     names, width = [reading.name for reading in robot.readings], _matrix(tuple(waves.width.values()))
     terms = tuple(entry.term for entry in found.wind_up)
     if not list(waves.period) == list(waves.width) == names or width is None or foreign(robot, terms):
         return None
     many = 2 * width.size + len(terms)
-    root = read_only(np.eye(many)) if found.left_out is None else _matrix(found.left_out)
+    root = read_only(np.eye(many, min(many, columns + 1))) if found.left_out is None else _matrix(found.left_out)
     if root is None or len(root) != many:
         return None
     wind_up = WindUp(terms, read_only([entry.width for entry in found.wind_up]))
@@ -225,7 +229,8 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
     size = Layout(robot, setups, tools).size
     names = [reading.name for reading in robot.readings]
     factor, null_basis = (_matrix(rows) for rows in (found.factor, found.null_basis))
-    left_out = None if found.waves is None else _left_out(found, found.waves, robot)
+    columns = 0 if factor is None else factor.shape[1]
+    left_out = None if found.waves is None else _left_out(found, found.waves, robot, columns)
     if (
         list(found.identified) != names
         or (found.waves is not None and left_out is None)
@@ -234,7 +239,6 @@ def load_uncertainty(path: Path, robot: Robot, setups: int, tools: int) -> Uncer
         or not len(factor) == len(null_basis) == size
     ):
         raise OutputError(f"{path}: is not of the machine in model.json.")
-    columns = factor.shape[1]
     causes = (columns, 0, 0) if found.causes is None else _counts(found.causes)
     if sum(causes) != columns or (left_out is not None and left_out.columns > causes[2]):
         raise OutputError(f"{path}: is not a file of this toolkit, or is damaged, at causes.")
