@@ -15,7 +15,7 @@ Photographs of a board are taken for the poses that they show (:mod:`calib.ident
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, islice, pairwise
+from itertools import chain, combinations, islice, pairwise
 from typing import Literal
 
 import numpy as np
@@ -78,6 +78,8 @@ _PROMISING = 8
 _LISTED = 3
 # Set-ups that are missed and in which a mistake is sought: a hundred whose rows are noise took half a minute.
 _MOST_SOUGHT = 10
+# Tables in which alone a mistake is tried: forty of ten rows each, of a wrong robot, took over a minute.
+_MOST_ALONE = 3
 
 _NEGLIGIBLE = 1e-10
 # Numbers in tables are not written finer; what leaves less explains all.
@@ -201,7 +203,7 @@ def _signatures(
     every = tuple(range(len(sets)))
     tables = _trials_of_tables(model, sets) if len(every) > 1 and _seen(sets) and not camera_on else []
     tried: list[_Trial] = []
-    for scope in (every, *((i,) for i in every if len(every) > 1)):
+    for scope in chain([every], _alone(model, sets)):
         best, *others = _likeliest([*_trials(model, sets, scope, camera_on), *tables])
         # Readings that are made too small explain positions that hardly change: a robot that stands still does so too.
         still = _still([best.mistake.mend(sets[i]) for i in scope]) if _seen(sets) else np.inf
@@ -209,6 +211,16 @@ def _signatures(
             return (_explained(model, sets, missed, best, others),)
         tried.append(best)
     return (_unexplained(model, sets, missed, min(tried, key=_counted)),) if missed > _LARGE * reach else ()
+
+
+def _alone(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[tuple[int, ...]]:
+    """Yield the tables in which alone a mistake may be: of many those without which the arm misses the others least."""
+    chosen = list(range(len(sets))) if len(sets) > 1 else []
+    if len(chosen) > _MOST_ALONE:
+        screen = _relaxed_miss if _seen(sets) else _second_miss
+        left = [_reached(screen, model, [*sets[:i], *sets[i + 1 :]]) for i in chosen]
+        chosen = sorted(np.argsort(left, kind="stable")[:_MOST_ALONE].tolist())
+    yield from ((i,) for i in chosen)
 
 
 def _spread_rows(data: Measurements, sets: Sequence[Measurements]) -> Measurements:

@@ -517,3 +517,33 @@ def test_a_mistake_in_one_table_is_no_tool_and_no_set_up_of_its_own(spoil: Spoil
     assert finding.code in ("flipped-sign", "shifted-zero", "swapped-joints")
     assert finding.sentence.startswith("two.csv: ")
     assert sanity.apart(lab.model(), tables) is None
+
+
+@pytest.mark.parametrize("wrong", [5])
+def test_a_mistake_in_one_of_many_tables_is_sought_in_few(wrong: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forty tables of a wrong robot took over a minute, as every mistake was tried in every table by itself."""
+    robot = calib.load_robot("example:ur_description/urdf/ur10_robot.urdf", tip="tool0")
+    rng = np.random.default_rng(4)
+    model = calib.error_model(robot, offsets="all")
+
+    def tables(flipped: Sequence[int]) -> list[calib.Measurements]:
+        found = []
+        for k in range(6):
+            q = rng.uniform(-1.5, 1.5, (10, 6))
+            xyz = robot.tips(q)[:, :3, 3]
+            q[:, 2] *= -1.0 if k in flipped else 1.0
+            found.append(calib.positions(robot, q, xyz, sigma=1e-4))
+        return found
+
+    tried: list[tuple[int, ...]] = []
+    real = sanity._trials
+    monkeypatch.setattr(
+        sanity, "_trials", lambda model, sets, scope, on: (tried.append(scope), real(model, sets, scope, on))[1]
+    )
+    (found,) = signatures(model, tables([wrong]))
+    assert found.severity == "error"
+    assert (wrong,) in tried
+    assert "'elbow_joint' is read with the wrong sign" in found.sentence
+    tried.clear()
+    signatures(model, tables(range(0, 6, 2)))
+    assert [len(scope) for scope in tried] == [6, 1, 1, 1]
