@@ -68,8 +68,8 @@ _ANOTHER_BOARD = 1.02
 # Cost: evenly spread rows, evaluations of a trial (the last steps change the third digit; without an instrument's frame
 # a start is less near, and more are needed), trials after the screening.
 _MOST_ROWS = 120
-# Three times those of the longest arm we know.
-_MOST_TRIED = 30
+# Three times those of the longest arm we know; without an instrument, where a trial costs more, half as many.
+_MOST_TRIED, _MOST_TRIED_UNSEEN = 30, 15
 _NUMBERS_PER_UNKNOWN = 2
 _EVALUATIONS, _EVALUATIONS_UNSEEN = 4, 16
 # A trial ends where one step changes what is missed by less than this share.
@@ -353,8 +353,9 @@ def _trials(
 
     chosen = [sets[i] for i in scope]
     # What one reading may have wrong is tried reading by reading, each time for the whole arm.
-    readings = model.robot.readings if len(model.robot.readings) <= _MOST_TRIED else ()
     seen = _seen(sets)
+    most = _MOST_TRIED if seen else _MOST_TRIED_UNSEEN
+    readings = model.robot.readings if len(model.robot.readings) <= most else ()
     others = _of_frames(model, chosen, camera_on) if seen else _of_indicators(chosen)
     table = (*_of_readings(readings, units=seen), *others)
     # A free base costs a search among all rotations, which few mistakes are worth: a linear fit screens them.
