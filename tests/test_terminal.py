@@ -16,7 +16,7 @@ from calib.job import example
 from calib.job.calibrate import steps_after_loading
 from calib.job.inputs import load
 from calib.job.run import run as identify
-from calib.presentation.console import Steps, progress, time_left, time_taken
+from calib.presentation.console import Steps, progress, show, show_error, time_left, time_taken
 from calib.presentation.report.document import Row, Sheet
 from calib.presentation.tables import broken, null_space_lines, plain, sheet_table
 from calib.results.folder import write_results
@@ -165,6 +165,30 @@ def test_nothing_is_told_where_nobody_looks(capsys: pytest.CaptureFixture[str]) 
     with progress(shown=True, steps=1) as say:
         say("working")
     assert capsys.readouterr() == ("", "")
+
+
+def test_a_terminal_that_is_closed_does_not_end_what_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a command that goes on, as after ``disown``, the work is kept and what is said is dropped."""
+    monkeypatch.setenv("TERM", "xterm")
+    person, terminal = os.openpty()
+    with os.fdopen(terminal, "w") as err, os.fdopen(os.dup(terminal), "w") as out:
+        monkeypatch.setattr(sys, "stderr", err)
+        monkeypatch.setattr(sys, "stdout", out)
+        with progress(shown=True, steps=2) as say:
+            say("one")
+            os.close(person)
+            say("two")
+        show("a row", Group("more"))
+        show_error("nothing is read")
+
+
+def test_an_error_that_nobody_reads_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever says that it was interrupted ends with the exit code for that."""
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as err:
+        monkeypatch.setattr(sys, "stderr", err)
+        show_error("interrupted.")
 
 
 def colours(folder: Path, *arguments: str, **environment: str) -> tuple[int, str, str]:

@@ -1,9 +1,13 @@
 """The terminal: text of at most 80 columns, colours and progress only where a person looks."""
 
 import contextlib
+import errno
 import os
+import stat
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TextIO, cast
 
 from rich.console import Console, Group, RenderableType
 from rich.text import Text
@@ -27,8 +31,46 @@ def show(*shown: Shown) -> None:
         write(plain(Group(*map(drawn, shown))))
 
 
+@contextlib.contextmanager
+def _as_if_read(stream: TextIO) -> Iterator[None]:
+    """Drop from now on what is written to a stream where nobody is left to read it: a pipe, or a terminal, is closed.
+
+    What a command does, and its exit code, are then as if all had been read.
+    """
+    try:
+        yield
+    except OSError as e:
+        handle = stream.fileno()
+        terminal = stat.S_ISCHR(os.fstat(handle).st_mode)
+        # What is still to be written is dropped, or the interpreter would try, and fail, once more as it ends.
+        with Path(os.devnull).open("wb") as nobody:
+            os.dup2(nobody.fileno(), handle)
+        if not (isinstance(e, BrokenPipeError) or (e.errno == errno.EIO and terminal)):
+            raise
+
+
+class _Stream:
+    """A stream of text that rich writes to, each time as if it were read."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with _as_if_read(self._stream):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with _as_if_read(self._stream):
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 def _console(*, stderr: bool = False) -> Console:
-    console = Console(stderr=stderr, highlight=False, markup=False, emoji=False)
+    stream = cast("TextIO", _Stream(sys.stderr if stderr else sys.stdout))
+    console = Console(file=stream, highlight=False, markup=False, emoji=False)
     if console.width < 1:  # COLUMNS=0, as some terminals have it that do not know: rich would print nothing at all
         console.width = WIDTH
     return console
@@ -44,18 +86,15 @@ def drawn(shown: Shown) -> RenderableType:
 def write(text: str) -> None:
     """Write text to standard output as it is; what its encoding lacks is written as an escape.
 
-    Where whoever was reading has had enough, as ``head`` has, the rest is dropped: what a command does, and its exit
-    code, are as if all had been read. Raises OutputError when it cannot be written, such as to a file on a full disk.
+    Where whoever was reading has had enough, as ``head`` has, or has closed the terminal, the rest is dropped. Raises
+    OutputError when it cannot be written, such as to a file on a full disk.
     """
     encoding = sys.stdout.encoding or "utf-8"
     try:
-        sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
-        sys.stdout.flush()
+        with _as_if_read(sys.stdout):
+            sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
+            sys.stdout.flush()
     except OSError as e:
-        # What is still to be written is dropped, or the interpreter would try, and fail, once more as it ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if isinstance(e, BrokenPipeError):
-            return
         raise OutputError(f"standard output: cannot be written ({e.strerror}).") from e
 
 
