@@ -241,3 +241,12 @@ def test_a_file_that_ends_too_soon_is_no_wish_to_end(tmp_path: Path, monkeypatch
     with pytest.raises(EOFError, match="marshal data too short"):
         run("board", "-o", tmp_path / "board")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_commands_that_are_told_can_be_typed_as_they_stand(folder: Path) -> None:
+    """A name may have spaces, or be made to be a command."""
+    job = copy_case(folder).rename(folder / "my $(job).toml")
+    assert run("calibrate", job, "-o", "out", "-q").code == 0
+    assert "\n    calib calibrate 'my $(job).toml' -o out\n" in (folder / "out/report.md").read_text(encoding="utf-8")
+    said = run("init", CASE / "arm_cmm.urdf", folder / "identification.csv", "-y", "-o", "an other.toml")
+    assert "calib calibrate 'an other.toml' -o out/ goes on." in " ".join(said.out.split())

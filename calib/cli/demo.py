@@ -38,5 +38,5 @@ def demo(
     compensate(results, targets, corrected)
     show(
         f"Open {results / REPORT_FILE} and {results / SCENE_FILE} in a browser, or move the arm yourself:",
-        literal(f"    calib view {results}"),
+        literal(f"    calib view {shlex.quote(str(results))}"),
     )

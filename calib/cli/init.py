@@ -1,6 +1,7 @@
 """``calib init``: from a URDF and files as they are to a job."""
 
 import os
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -43,7 +44,8 @@ def init(
         write_new(output, found.job(output.absolute().parent))
     tell_check(telling, looked, (*warnings, *found.reasons), {"job": str(output)})
     if not telling.as_json:
-        telling.tell(dict, lambda: [f"{output} is written; calib calibrate {output} -o out/ goes on."])
+        goes_on = f"calib calibrate {shlex.quote(str(output))} -o out/"
+        telling.tell(dict, lambda: [f"{output} is written; {goes_on} goes on."])
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """From inputs to an outcome: identify, level by level where a job has levels, and judge by what was held out."""
 
 import json
+import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from glob import escape
@@ -54,7 +55,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
         findings=inputs.findings,
         trace=trace,
         origin=Origin(
-            f"calib calibrate {inputs.path.name} -o out",
+            f"calib calibrate {shlex.quote(inputs.path.name)} -o out",
             resolved(inputs),
             inputs.files,
             inputs.hashes,
