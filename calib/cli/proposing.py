@@ -89,7 +89,12 @@ def _answer(question: "Question", given: Mapping[str, Any]) -> dict[str, Any]:
         typer.echo(printable(f"  {k}  {choice}"), err=True)
     number = 0
     while not 1 <= number <= len(question.choices):
-        number = typer.prompt("Which", type=int, err=True)
+        try:
+            number = typer.prompt("Which", type=int, err=True)
+        except typer.Abort as ended:
+            if isinstance(ended.__context__, KeyboardInterrupt):  # and not the end of what is typed
+                raise KeyboardInterrupt from None
+            raise
     answer = question.answered(question.choices[number - 1])
     if "columns" in answer:
         return {"columns": {**given.get("columns", {}), **answer["columns"]}}

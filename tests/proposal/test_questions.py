@@ -3,6 +3,8 @@
 import itertools
 import os
 import pty
+import select
+import signal
 import subprocess
 import sys
 import tomllib
@@ -19,6 +21,7 @@ from tests.support.cases import TABLE, copy_case, edit, run
 from tests.support.machines import urdf
 from tests.support.people import UR10
 
+MAIN = "from calib_start import main; main()"
 OF = {twin.name: twin for twin in TWINS}
 
 
@@ -80,6 +83,24 @@ def test_an_end_of_answers_ends_it_and_writes_nothing(tmp_path: Path) -> None:
     assert found.code == 1
     assert found.job is None
     assert "Traceback" not in found.said
+
+
+def test_ctrl_c_at_a_question_has_its_exit_code(tmp_path: Path) -> None:
+    (tmp_path / "measured.csv").write_text(str(OF[UNITS].contents()), encoding="utf-8")
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-c", MAIN, "init", UR10, "measured.csv"]
+    asking = subprocess.Popen(command, cwd=tmp_path, stdin=theirs, stdout=theirs, stderr=subprocess.PIPE, text=True)
+    assert asking.stderr is not None
+    said = ""
+    while not said.endswith("Which: "):
+        said += asking.stderr.read(1)
+    # Python hears one that comes just before it waits only when another one comes.
+    while not select.select([asking.stderr], [], [], 0.5)[0]:
+        asking.send_signal(signal.SIGINT)
+    assert asking.communicate(timeout=60)[1].strip() == "Error: interrupted."
+    assert asking.returncode == 130
+    os.close(ours)
+    os.close(theirs)
 
 
 def test_what_has_no_choices_is_an_error_at_a_terminal_too(tmp_path: Path) -> None:
