@@ -313,6 +313,30 @@ def test_words_behind_lines_that_come_again_tell_kinds(folder: Path, behind: str
         made(folder, lines)
 
 
+@pytest.mark.parametrize("mark", ["# ", "// ", "! ", "; "])
+def test_names_beside_words_that_tell_kinds_leave_them_told(folder: Path, mark: str) -> None:
+    """Of ``target a`` and ``target b`` each comes once: targets became rows among what was reached."""
+    words = ["target a", "actual b", "target c", "actual d"]
+    lines = "".join(f"q = [{k}.5, 2.5, 3.5] {mark}{word}\n" for k, word in enumerate(words))
+    with pytest.raises(calib.MeasurementError, match=r"2 rows as .*--topic target\); 2 rows as .*--topic actual\)"):
+        made(folder, lines)
+    with pytest.raises(calib.MeasurementError, match=r"2 rows as .*; 2 rows as .*--topic actual\)"):
+        made(folder, lines.replace(f"{mark}target a", "").replace(f"{mark}target c", ""))
+
+
+def test_a_point_in_comments_is_not_passed_over(folder: Path) -> None:
+    """Where one was lost, the others were passed over as well."""
+    lines = [f"q=[{k}, 2, 3] # P{k} {k}.5 2.5 3.5\n" for k in range(4)]
+    assert len(made(folder, "".join(lines)).titles) == 7
+    with pytest.raises(calib.MeasurementError, match=r"4 rows as .*; 1 row as "):
+        made(folder, "".join([*lines, "q=[9, 2, 3] # P9 lost\n"]))
+
+
+def test_a_word_in_all_comments_of_a_list_tells_no_kinds(folder: Path) -> None:
+    lines = "".join(f" [{k}, 2, 3],  # pose {word}\n" for k, word in enumerate("abcd"))
+    assert len(made(folder, f"joints = np.array([\n{lines}])\n").rows) == 4
+
+
 def test_what_is_no_comment_stays(folder: Path) -> None:
     """Of lines of one kind nothing is passed over, nor a share, nor numbers that are set behind a sign."""
     shares = "".join(f"q=[{k}, 2, 3] at 100% speed x={k}\n" for k in range(3))

@@ -350,36 +350,38 @@ def _code(tokens: Sequence[_Token], depth: int) -> Sequence[_Token]:
 def _without_free_comments(statements: Sequence[_Statement]) -> tuple[list[_Statement], list[_Token]]:
     """Return statements without the comments that stand behind their lines, and the first sign of each that is left.
 
-    Words that come again behind another line may tell kinds, as ``! target`` does: such a comment stays.
+    A word that comes again behind other lines, and not behind all with numbers, may tell kinds, as ``! target 1`` does:
+    such a comment stays.
     """
     lines = [[list(line) for _, line in groupby(one.tokens, lambda token: token.line)] for one in statements]
     begins = [[_comment_in(line) for line in every] for every in lines]
     words = Counter(
-        _words_of(line[at:])
+        word
         for every, own in zip(lines, begins, strict=True)
         for line, at in zip(every, own, strict=True)
-        if at < len(line)
+        for word in _words_of(line[at:])
     )
+    of_all = sum(any(token.kind == "number" for token in line) for every in lines for line in every)
     found, first = [], []
     for every, own in zip(lines, begins, strict=True):
         tokens: list[_Token] = []
         for line, at in zip(every, own, strict=True):
-            is_free = at < len(line) and words[_words_of(line[at:])] == 1
+            is_free = at < len(line) and all(words[word] in (1, of_all) for word in _words_of(line[at:]))
             tokens += line[:at] if is_free else line
             first += [line[at]] if is_free else []
         found.append(_Statement(tuple(tokens)))
     return found, first
 
 
-def _words_of(tokens: Sequence[_Token]) -> tuple[str, ...]:
-    return tuple(token.text for token in tokens if token.kind in ("word", "text"))
+def _words_of(tokens: Sequence[_Token]) -> set[str]:
+    return {token.text for token in tokens if token.kind in ("word", "text")}
 
 
 def _comment_in(tokens: Sequence[_Token]) -> int:
     """Return at which token of a line a comment begins, as many as there are where none does.
 
-    It has words and no list, and no bracket of what stands before it closes in it. ``100%`` begins none, and a
-    semicolon only behind a bracket, where nothing is set to something.
+    It has words, and fewer numbers than a point, which may be what was measured; no bracket of what stands before it
+    closes in it. ``100%`` begins none, and a semicolon only behind a bracket, where nothing is set to something.
     """
     texts = [token.text for token in tokens]
     is_mark = [text in _ONE_SIGN or texts[k : k + 2] == ["/", "/"] for k, text in enumerate(texts)]
@@ -389,7 +391,8 @@ def _comment_in(tokens: Sequence[_Token]) -> int:
             continue
         rest = tokens[k:]
         depths = list(accumulate((text in _PAIRS.values()) - (text in _PAIRS) for text in texts[k:]))
-        if min(depths) >= 0 and depths[-1] == 0 and _words_of(rest) and not _lists(rest):
+        is_point = sum(token.kind == "number" for token in rest) >= _FEWEST
+        if min(depths) >= 0 and depths[-1] == 0 and _words_of(rest) and not is_point:
             return k
     return len(tokens)
 
