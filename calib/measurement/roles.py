@@ -380,11 +380,8 @@ def _flat_matrices(table: RawTable, families: Iterable[Family]) -> Iterator[tupl
 def joints_by_name(table: RawTable, readings: Sequence[str], among: frozenset[int]) -> list[Joints]:
     """Return the columns that have the names of readings, with words around them that are the same for all.
 
-    ``among``: the columns that may be joints.
+    Where none have, those for which other columns state these names. ``among``: the columns that may be joints.
     """
-    stated = {name: k for k, name in _stated_names(table).items() if k in among}
-    if readings and all(name in stated for name in readings):
-        return [Joints(tuple(stated[name] for name in readings), 1, "by the names that columns beside them have", True)]
     # A column that is called just as a reading goes before one that only capitals tell apart.
     in_order = sorted(among, key=lambda k: (table.columns[k].name not in readings, k))
     parts = {k: tokens(table.columns[k].name) for k in in_order}
@@ -413,6 +410,9 @@ def joints_by_name(table: RawTable, readings: Sequence[str], among: frozenset[in
     called = {table.columns[k].name: k for k in reversed(in_order)}
     if readings and all(name in called for name in readings):
         return [Joints(tuple(called[name] for name in readings), _rank(()), "by their names", True)]
+    stated = {name: k for k, name in _stated_names(table).items() if k in among}
+    if readings and all(name in stated for name in readings):
+        return [Joints(tuple(stated[name] for name in readings), 1, "by the names that columns beside them have", True)]
     return []
 
 

@@ -441,6 +441,11 @@ def test_positions_have_the_names_that_stand_beside_them(folder: Path, form: str
     assert not found.questions, found.questions
     read = found.tables[0].columns.names
     assert [read[f"{name} [rad]"] for name in names] == [form.format("position", order.index(k)) for k in range(6)]
+    # Columns that have the names themselves go before.
+    table = text([*titles, *names, "x", "y", "z"], [*columns[:3], s.readings, s.position])
+    (folder / "a.csv").write_text(table)
+    found = calib.measuring.propose(UR10, ["a.csv"])
+    assert [found.tables[0].columns.names[f"{name} [rad]"] for name in names] == names
     # Other names are those of another robot, or of nothing: the numbers of the columns count.
     (folder / "a.csv").write_text(text([*titles, "x", "y", "z"], [np.char.add(words, "_x"), s.readings, *columns[2:]]))
     found = calib.measuring.propose(UR10, ["a.csv"])
