@@ -45,7 +45,7 @@ from calib.robot.robot import Reading
 from calib.robot.urdf import inertials, read_urdf
 
 _TEXTS = (".csv", ".txt", ".tsv", ".dat", ".log", ".json", ".jsonl", ".yaml", ".yml", ".xlsx", ".npz", ".mat", "")
-_LENSES = (".yaml", ".yml", ".xml", ".json", ".txt", ".ini")
+_LENSES = (".yaml", ".yml", ".xml", ".json", ".txt", ".ini", ".npz")
 _MESHES = (".stl", ".obj", ".ply", ".off", ".glb", ".dae")
 _ARMS = (".urdf", ".xacro", ".xml")
 _RECORDINGS = (".bag", ".mcap", ".db3")

@@ -55,6 +55,22 @@ def test_an_archive_of_numpy(tmp_path: Path, names: tuple[str, str], shape: tupl
     assert read_lens(tmp_path / "lens.npz") == (LENS, (1280, 720))
 
 
+def test_four_numbers_in_an_archive_may_be_of_a_fisheye(tmp_path: Path) -> None:
+    """So cv2.fisheye.calibrate returns them, and nothing beside them says so; it was read as another lens."""
+    path = tmp_path / "lens.npz"
+    K, bent = np.array([[900.5, 0.0, 640.25], [0.0, 901.5, 360.75], [0.0, 0.0, 1.0]]), np.full((4, 1), 0.01)
+    np.savez(path, K=K, D=bent, DIM=[1280, 720])
+    with pytest.raises(JobError, match=r"lens\.npz: the distortion has 4 numbers, as a fisheye's has"):
+        read_lens(path)
+    lens = Lens(900.5, 901.5, 640.25, 360.75, k1=0.01, k2=0.01, p1=0.01, p2=0.01)
+    np.savez(path, K=K, D=[*bent.ravel(), 0.0])
+    assert read_lens(path) == (lens, None)
+    np.savez(path, K=K, D=bent, distortion_model="plumb_bob")
+    assert read_lens(path) == (lens, None)
+    np.savez(path, K=K, D=np.zeros(4), dist=np.arange(5.0))  # of distances
+    assert read_lens(path) == (Lens(900.5, 901.5, 640.25, 360.75), None)
+
+
 def test_an_archive_without_a_lens(tmp_path: Path) -> None:
     path = tmp_path / "lens.npz"
     np.savez(path, K=np.diag([900.0, 900.0, 1.0]))

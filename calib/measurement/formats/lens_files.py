@@ -23,16 +23,16 @@ _OF_A_MODEL = re.compile("(?i)model|type|projection")
 _OTHER_MODEL = re.compile("(?i)fish.?eye|equidist|kannala|omni(?!.?vision)|double.?sphere|unified|scaramuzza")
 _ARCHIVE = ".npz"
 _WHOLE = re.compile(r"\+?[0-9]{1,9}")
-_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "CameraMatrix", "mtx", "K", "k")
+_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "CameraMatrix", "K", "k", "mtx")
 _BENT = (
     "distortion_coefficients",
     "Distortion_Coefficients",
     "dist_coeffs",
     "dist_coeff",
     "distCoeffs",
-    "dist",
     "D",
     "d",
+    "dist",
 )
 # How many numbers of distortion OpenCV has; none where a lens has none.
 _COUNTS = (0, 4, 5, 8, 12, 14)
@@ -46,7 +46,8 @@ def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
 
     Raises JobError where it holds no lens, or one of a model that is not ours.
     """
-    found = _npz(path) if path.suffix.lower() == _ARCHIVE else _yaml(path)
+    is_archive = path.suffix.lower() == _ARCHIVE
+    found = _npz(path) if is_archive else _yaml(path)
     if isinstance(cam := found.get("cam0"), Mapping):  # Kalibr: camera_model, intrinsics fu fv pu pv, resolution
         if cam.get("camera_model") != "pinhole" or cam.get("distortion_model") not in ("radtan", "none", None):
             raise JobError(
@@ -84,6 +85,12 @@ def read_lens(path: Path) -> tuple[Lens, tuple[int, int] | None]:
     bent = _numbers(path, "the distortion", found[stated])
     if len(bent) not in _COUNTS:
         raise JobError(f"{path}: the distortion has {len(bent)} numbers; allowed are {', '.join(map(str, _COUNTS))}.")
+    # cv2.calibrateCamera returns five or more to Python, and cv2.fisheye.calibrate four.
+    if is_archive and model is None and len(bent) == len(BENT[:4]) and any(bent):
+        raise JobError(
+            f"{path}: the distortion has 4 numbers, as a fisheye's has, which is not read; if these are "
+            f"{', '.join(BENT[:4])}, write a fifth one, 0, or distortion_model = 'plumb_bob' beside them."
+        )
     sides = next((sides for sides in _SIDES if sides[0] in found), _SIDES[0])
     size = _size(path, {name: found.get(name) for name in sides})
     return Lens(K[0], K[4], K[2], K[5], **_bent(path, bent, names)), size
