@@ -296,12 +296,16 @@ def _other_relations(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
 
 
 def _of_relations(fit: Fit, relations: Sequence[Relation]) -> tuple[Array, Array]:
-    """Return by how much a fit misses relations (k,), stated minus found, and the variance of that, in their sigmas."""
+    """Return by how much a fit misses relations (k,), stated minus found, and the variance of that, in their sigmas.
+
+    Rows that do not show how large all is, as touches, do not contradict a length alone: the null space counts.
+    """
     frames, deviations = fit.machine.frames, fit.machine.deviations
     problem = Problem(fit.model, fit.parameters, frames, fit.measurements, deviations, tuple(relations), fit.losses)
     found = related(problem, values_at(fit.model.robot, fit.parameters, frames, deviations))
     J = found[:, :-1] / scales(fit.parameters)
-    return found[:, -1], np.einsum("kp,pq,kq->k", J, fit.covariance, J)
+    unseen = np.sum((J @ fit.along_null_space.factor) ** 2, axis=1)
+    return found[:, -1], np.einsum("kp,pq,kq->k", J, fit.covariance, J) + unseen
 
 
 def _relation_said(relation: Relation, missed: float) -> str:

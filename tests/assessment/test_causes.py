@@ -11,7 +11,7 @@ import calib
 from calib.assessment.checks.of_fit import stated_sigma
 from calib.identification.losses import Loss
 from tests.support import machines
-from tests.support.touching import lab
+from tests.support.touching import SOCKETS, lab
 
 Array = np.ndarray
 Spoil = Callable[[Array, np.random.Generator], Array]
@@ -148,3 +148,18 @@ def test_a_distance_of_targets_that_is_stated_wrong_is_named_and_not_a_target_th
         seems = float(told(found).split(" mm where ")[0].rpartition(" ")[2])
         assert seems == pytest.approx(1e3 * apart, abs=0.1)
         assert not any("seems to have moved" in doubt for doubt in found.doubts)
+
+
+def test_distances_of_sockets_are_not_named_where_only_one_is_wrong_and_no_row_tells_lengths() -> None:
+    """A fit without them does not know how large the arm is: right ones were said to be wrong, too."""
+    of = lab(5, noise=3e-5)
+    names = [name for name in SOCKETS for _ in range(16)]
+    q = of.touching(lambda points: points, np.array([SOCKETS[name] for name in names]) + of.scatter(48, 3))
+    pairs = [("a", "b"), ("a", "c"), ("b", "c")]
+    apart = [float(np.linalg.norm(np.subtract(SOCKETS[one], SOCKETS[other]))) for one, other in pairs]
+    apart[0] += 1e-3
+    stated = [calib.measuring.Relation("distance", pair, at, 2e-5) for pair, at in zip(pairs, apart, strict=True)]
+    known = calib.Known(relations=stated)
+    model = calib.error_model(of.robot, offsets="all", placements="all", known=known, base="fixed")
+    found = calib.assess(calib.identify(model, calib.measuring.sockets(of.robot, q, names, sigma=3e-5)))
+    assert not found.trusted and "the distance between" not in told(found)
