@@ -2,6 +2,7 @@
 
 import csv
 import re
+import shlex
 import string
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -118,7 +119,7 @@ def beginning(data: bytes, where: str) -> list[Line]:
 def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
     at, member = _OPEN_DOCUMENT
     if where.lower().endswith(_RECORDS):
-        raise MeasurementError(f"{where}: is of records, and no table; calib import {where} -o table.csv makes one.")
+        raise MeasurementError(f"{where}: is of records, and no table; {to_import(where)} -o table.csv makes one.")
     if data.startswith(_OLE) or (data.startswith(_ARCHIVE) and data.startswith(member, at)):
         raise MeasurementError(f"{where}: is a document of another program, and no text; save it as .xlsx or as CSV.")
     if data.startswith(_ARCHIVE):
@@ -157,13 +158,18 @@ def _blocks(data: bytes, where: str) -> Iterator[list[Line]]:
         start, number = end, number + len(every) - 1
 
 
+def to_import(where: str) -> str:
+    """Return the command that makes a table of a file, so that it can be typed as it stands."""
+    return f"calib import {shlex.quote(where)}"
+
+
 def _of_archive(data: bytes, where: str) -> str:
     """Return what an archive is, and what to do: one of arrays, a workbook, or some other."""
     named = where.lower().endswith((_ARRAYS, _WORKBOOK))
     if not named and _PARTS_OF_WORKBOOK not in data:
         return "is an archive, and no text; unpack it."
     to_do = (
-        f"calib import {where} -o table.csv makes a table."
+        f"{to_import(where)} -o table.csv makes a table."
         if named
         else "call it .xlsx, and calib import makes a table of it."
     )

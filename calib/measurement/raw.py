@@ -12,7 +12,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.sealing import sealed
 from calib.foundations.units import UNITS, symbol_of
 from calib.foundations.words import shown
-from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged
+from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged, to_import
 from calib.measurement.formats import pairs
 from calib.measurement.formats.logs import is_motive
 from calib.measurement.formats.reports import of_report
@@ -82,11 +82,11 @@ def raw_table(data: bytes, where: str) -> RawTable:
     beginning(data, where)  # what is no text says so
     if is_motive(data[:1000].decode("utf-8", errors="replace")):
         raise MeasurementError(
-            f"{where}: is an export of Motive; calib import {where} -o table.csv makes a table of a body in it."
+            f"{where}: is an export of Motive; {to_import(where)} -o table.csv makes a table of a body in it."
         )
     if pairs.are_in(data, where):
         raise MeasurementError(
-            f"{where}: has no header, as every line names its numbers; calib import {where} -o table.csv makes a table."
+            f"{where}: has no header, as every line names its numbers; {to_import(where)} -o table.csv makes a table."
         )
     try:
         return _whole(data, where)
@@ -106,7 +106,7 @@ def becomes_table(data: bytes, where: str) -> bool:
 def of_lists(where: str) -> MeasurementError:
     """Return what to raise for a text whose numbers stand in lists: no table, but one can be made of it."""
     return MeasurementError(
-        f"{where}: has lists of numbers in brackets; calib import {where} -o table.csv makes a table of them."
+        f"{where}: has lists of numbers in brackets; {to_import(where)} -o table.csv makes a table of them."
     )
 
 
@@ -116,7 +116,7 @@ def _whole(data: bytes, where: str) -> RawTable:
         raise MeasurementError(f"{where}:{form.line}: has {len(form.titles)} columns; allowed are {_MOST_COLUMNS}.")
     if again := next((name for name, times in Counter(form.names).items() if times > 1), None):
         raise MeasurementError(
-            f"{where}:{form.line}: several columns are called {shown(again)}; calib import {where} -o table.csv tells "
+            f"{where}:{form.line}: several columns are called {shown(again)}; {to_import(where)} -o table.csv tells "
             "them apart."
         )
     count = sum(sum(line.number > form.last for line in block) for block in lines(data, where))

@@ -192,6 +192,13 @@ def test_what_is_no_table_says_what_to_do(folder: Path, contents: bytes, says: s
     assert said.err.startswith(f"Error: a.bin: {says}")
 
 
+def test_a_command_that_is_told_can_be_typed_as_it_stands(folder: Path) -> None:
+    """Motive calls its exports "Take 2026-05-06 10.22.33 AM.csv"."""
+    (folder / "Take 1 AM.csv").write_bytes(b"Format Version,1.23,Take Name,a\n\n,Type\n")
+    said = run("init", UR10, "Take 1 AM.csv", "-y")
+    assert "Error: Take 1 AM.csv: is an export of Motive; calib import 'Take 1 AM.csv' -o table.csv" in said.err
+
+
 def test_yaml_of_opencv_is_told_from_broken_yaml(folder: Path) -> None:
     (folder / "a.yaml").write_text("%YAML:1.0\n---\nT: !!opencv-matrix\n   rows: 1\n")
     with pytest.raises(calib.MeasurementError, match=r"^a\.yaml: is of OpenCV, whose YAML is not read;"):

@@ -15,6 +15,7 @@ from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension
 from calib.job.foreign.seen import Seen
 from calib.job.proposal import About
 from calib.measurement.bodies import points_of_one_body
+from calib.measurement.cells import to_import
 from calib.measurement.raw import RawColumn
 from calib.measurement.roles import Point, Rank, changes, numbers_of
 from calib.robot.robot import Robot
@@ -287,7 +288,7 @@ def _point_question(seen: Seen, found: Iterable[Point]) -> AskedError:
     ways = " or ".join(first_of([*map(seen.titles, columns)]))
     of_one = points_of_one_body(seen.raw)
     of_body = (
-        f" {len(of_one)} points keep their distances, as reflectors on one body do: calib import {seen.raw.where} "
+        f" {len(of_one)} points keep their distances, as reflectors on one body do: {to_import(seen.raw.where)} "
         "--each-point -o rows.csv makes a row of each"
     )
     return ask(

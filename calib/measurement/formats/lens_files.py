@@ -16,6 +16,8 @@ from calib.measurement.formats.yaml_events import read_yaml, written
 from calib.measurement.lens import BENT, RATIONAL, Lens
 
 _LARGEST = 1_000_000
+# In bytes: no array of a lens is larger. A small archive unpacks to hundreds of millions of numbers, each to be a text.
+_LARGEST_ARRAY = 10_000
 # What OpenCV writes and YAML does not know: its own header, and the tag of its matrices.
 _HEADER, _TAG = re.compile(r"\A%YAML[: ]1\.\d\s*"), re.compile(r"!!opencv-matrix")
 # Keys that say how a lens is described, and models whose numbers would be taken for those of another.
@@ -135,7 +137,11 @@ def _npz(path: Path) -> Mapping[str, Any]:
         held = held_in_npz(read_bytes(path, JobError, _LARGEST), str(path))
     except MeasurementError as e:
         raise JobError(str(e)) from e
-    return {name: _as_written(array.tolist()) for name, array in held.items() if array is not None and array.ndim < 3}
+    return {
+        name: _as_written(array.tolist())
+        for name, array in held.items()
+        if array is not None and array.ndim < 3 and array.nbytes <= _LARGEST_ARRAY
+    }
 
 
 def _as_written(value: Any) -> Any:
