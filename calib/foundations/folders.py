@@ -174,8 +174,11 @@ def still_meant(path: Path, meant: Path | None) -> Path:
     return found
 
 
-def refuse_unwritable(path: Path) -> None:
-    """Raise OutputError for a folder that cannot be made or written; what only the attempt shows, the attempt tells."""
+def refuse_unwritable(path: Path, *, exchanged: bool = True) -> None:
+    """Raise OutputError for a folder that cannot be made or written; what only the attempt shows, the attempt tells.
+
+    ``exchanged``: whether a new one takes its place, for which the folder above must be written as well.
+    """
     with _telling(path, "cannot hold the results"):
         parent = nearest_folder(path)
         if not parent.is_dir():
@@ -183,7 +186,7 @@ def refuse_unwritable(path: Path) -> None:
         refuse_long(path)
         if path.exists() and not path.is_dir():
             raise OutputError(f"{path}: is a file, and the results need a folder.")
-        for folder in (parent, path):
+        for folder in (parent, path) if exchanged or not path.exists() else (path,):
             if folder.exists() and not os.access(folder, os.W_OK | os.X_OK):
                 raise OutputError(f"{path}: cannot be written, as {folder} is read-only.")
         os.umask(mask := os.umask(0o077))  # it is told by setting it alone

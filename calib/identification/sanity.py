@@ -134,8 +134,9 @@ def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple
             model, placed, camera_on = poses_seen(model, [data for data in measurements if len(data)])
         sets = [data.at_readings() for data in placed or touched]
         setups = dict.fromkeys(setup for data in sets for setup in data.setups)
+        loaded = [data.loaded(model.urdf_robot) for data in sets]
         sought = (
-            _signatures(model.at(setup), [data.loaded(model.urdf_robot).at(setup) for data in sets], camera_on)
+            _signatures(model.at(setup), [data.at(setup) for data in loaded if setup in data.setups], camera_on)
             for setup in setups
         )
         missed = islice((found for found in sought if found is not None), _MOST_SOUGHT)

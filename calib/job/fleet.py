@@ -118,7 +118,7 @@ def _refuse_link(job: FleetJob) -> None:
 
 def _refuse_fleet(out: Path) -> None:
     """Refuse a folder that is none, is read-only, or in which the summary would take the place of somebody's file."""
-    refuse_unwritable(out)
+    refuse_unwritable(out, exchanged=False)
     if os.path.lexists(out / RESULT_FILE):
         raise OutputError(f"{out}: holds the results of one job, which nothing else may be in; choose another folder.")
     refuse_other_summary(out)

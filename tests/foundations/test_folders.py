@@ -97,6 +97,19 @@ def test_a_umask_that_takes_the_users_own_permissions_is_told(
         assert os.umask(before) == umask
 
 
+def test_a_folder_that_stays_where_it_is_needs_no_rights_above_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fleet writes within its folder, such as one that is mounted in a container; it was refused."""
+    (out := tmp_path / "out").mkdir()
+    real = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path and real(path, mode))
+    refuse_unwritable(out, exchanged=False)
+    for path, exchanged in ((out, True), (tmp_path / "new", False)):
+        with pytest.raises(OutputError, match=f"cannot be written, as {tmp_path} is read-only"):
+            refuse_unwritable(path, exchanged=exchanged)
+
+
 @pytest.mark.parametrize("umask", [0o077, 0o022, 0o002])
 def test_folders_and_files_obey_the_umask(tmp_path: Path, umask: int) -> None:
     before = os.umask(umask)
