@@ -11,7 +11,7 @@ something moved. A row that is held out may be one as well: it bends nothing, bu
 nearly its own.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import fields, replace
 from typing import NamedTuple
@@ -90,6 +90,18 @@ def _judged(fit: Fit, sets: Sequence[JudgedSet], tables: Sequence[Measurements])
     return tuple(JudgedSet(one.use, one.file, data, b, a) for one, data, b, a in every)
 
 
+def _anew(
+    fitted: Callable[[], Fit], sets: Sequence[JudgedSet], tables: Sequence[Measurements]
+) -> tuple[Fit, tuple[JudgedSet, ...]] | None:
+    """Return another fit, and tables as it leaves them, as :func:`_judged`; None where there is none that converged."""
+    try:
+        found = fitted()
+        judged = _judged(found, sets, tables)
+    except CalibError:
+        return None
+    return (found, judged) if found.converged else None
+
+
 # ---- rows that lie far off
 
 
@@ -98,13 +110,10 @@ def _passed_over(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
 
     The loss is the strongest one: a table with that passes over its own already, and one with a weaker one not quite.
     """
-    try:
-        found = fit if all(loss == _STRONGEST for loss in fit.losses) else _by_loss(fit)
-        judged = list(_judged(found, sets, [one.data for one in sets]))
-    except CalibError:
+    anew = _anew(lambda: _by_loss(fit), sets, [one.data for one in sets])
+    if anew is None:
         return None
-    if not found.converged:
-        return None
+    found, judged = anew[0], list(anew[1])
     parts, told, left = stretches(Residue.of(found, {})), [], []
     fitted = [k for k, one in enumerate(sets) if one.use == "identification"]
     own = dict(zip(fitted, found.measurements, strict=True))
@@ -130,6 +139,8 @@ def _passed_over(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
 
 def _by_loss(fit: Fit) -> Fit:
     """Return the fit by the strongest loss."""
+    if all(loss == _STRONGEST for loss in fit.losses):
+        return fit
     model = fit.model.within(fit.measurements)
     losses = [_STRONGEST] * len(fit.measurements)
     return replace(identify_near(fit, model, fit.measurements, losses=losses), model=fit.model)
@@ -194,13 +205,14 @@ def _other_lengths(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
     tables = [data for parts in split for data, _ in parts]
     losses = [loss for parts, loss in zip(split, fit.losses, strict=True) for _ in parts]
     every = [(one, data) for one in sets for data, _ in _freed(one.data)]
-    try:
-        found = replace(identify(fit.model.within(tables), tables, losses=losses), model=fit.model)
-        judged = _judged(found, [one for one, _ in every], [data for _, data in every])
-    except CalibError:
+
+    def longer() -> Fit:
+        return replace(identify(fit.model.within(tables), tables, losses=losses), model=fit.model)
+
+    anew = _anew(longer, [one for one, _ in every], [data for _, data in every])
+    if anew is None:
         return None
-    if not found.converged:
-        return None
+    found, judged = anew
     now, before = (
         sum(float(np.sum(r**2)) for r, data in zip(residuals, of, strict=True) if data.kind in _ROLES)
         for residuals, of in ((found.residuals, found.measurements), (fit.residuals, fit.measurements))
@@ -274,14 +286,15 @@ def _other_relations(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
     if not fit.model.relations:
         return None
     model = replace(fit.model, relations=())
-    try:
+
+    def without() -> Fit:
         found = identify_near(fit, model.within(fit.measurements), fit.measurements, losses=fit.losses)
-        judged = _judged(found, sets, [one.data for one in sets])
-    except CalibError:
+        return replace(found, model=model)
+
+    anew = _anew(without, sets, [one.data for one in sets])
+    if anew is None:
         return None
-    if not found.converged:
-        return None
-    found = replace(found, model=model)
+    found, judged = anew
     missed, variance = _of_relations(found, fit.model.relations)
     wrong = np.abs(missed) > SURE * np.sqrt(1.0 + variance)
     if not wrong.any():
@@ -329,14 +342,15 @@ def _without_priors(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
     priors = fit.model.priors
     stated = [field.name for field in fields(priors) if isinstance(getattr(priors, field.name), float)]
     model = replace(fit.model, priors=replace(priors, **dict.fromkeys(stated)))
-    try:
+
+    def without() -> Fit:
         found = identify(model.within(fit.measurements), fit.measurements, losses=fit.losses)
-        judged = _judged(found, sets, [one.data for one in sets])
-    except CalibError:
+        return replace(found, model=model)
+
+    anew = _anew(without, sets, [one.data for one in sets])
+    if anew is None:
         return None
-    if not found.converged:
-        return None
-    found = replace(found, model=model)
+    found, judged = anew
     share = 0.0
     for use in {one.use for one in sets}:
         pairs = [(new, old) for new, old in zip(judged, sets, strict=True) if old.use == use]

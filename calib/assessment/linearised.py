@@ -18,7 +18,6 @@ from calib.assessment.eliminated import Own
 from calib.assessment.entering import Blocks, Products, filled
 from calib.assessment.validation import HeldOut, held_out
 from calib.foundations.arrays import Array, BoolArray, IntArray
-from calib.foundations.chance import exceeded
 from calib.foundations.errors import IdentificationError
 from calib.foundations.linear import ROUNDING
 from calib.foundations.sealing import sealed
@@ -27,7 +26,7 @@ from calib.identification.fit import Fit
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
-from calib.identification.parameters import directions, scales
+from calib.identification.parameters import asked_for, directions, scales
 from calib.identification.system import related
 from calib.identification.weights import sigmas_of
 from calib.identification.widths import TOO_UNLIKE
@@ -40,8 +39,6 @@ from calib.robot.terms import JointTerm, kind_of
 
 # Bytes of derivatives that are kept rather than made again.
 _MOST_KEPT = 2**28
-# How improbable it must be that terms of a kind are not larger than their weak priors let them be.
-_SURELY, _NOTHING = 1e-4, 1e-12
 # Beside what is eliminated. Of many more, as of tools and set-ups that cross, the products would fill the memory.
 _MOST_UNKNOWNS = 2000
 # A coefficient that helps by less, in variances of what is left, ends the way: of one that does nothing it is 1.
@@ -196,7 +193,7 @@ class LinearisedSystem:
         after[places, places] += wider - self._weak[own]
         left = _left(after)
         gain = _left(before) - left
-        return gain > 0.0 and bool(exceeded(gain * freedom / max(left, _NOTHING), len(own), freedom) < _SURELY)
+        return asked_for(gain, left, len(own), freedom)
 
     @property
     def robot(self) -> Robot:

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.foundations.arguments import checked, own_fields
 from calib.foundations.arrays import Array, IntArray
+from calib.foundations.chance import exceeded
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import refuse_beyond
 from calib.robot.terms import JointTerm, kind_of
@@ -38,6 +39,8 @@ FRAME_WIDTH = 10.0
 TERM_WIDTH = 10.0
 # Weak priors of terms that the data clearly ask to be larger than those of industrial arms: so many times as wide.
 FREED_TERM = 100.0
+# How improbable it must be that they are not larger than their priors let them be; what is left, at least.
+_SURELY, _NO_COST = 1e-4, 1e-12
 # The group of tools whose points poses do not show.
 UNSHOWN_TOOLS = "tools"
 # An ordinary distance of a tool point from its link, in m.
@@ -158,6 +161,15 @@ class Parameter:
     def hold(self) -> float:
         """How strongly the prior, stated or weak, holds: 1 over its standard deviation in units of the scale."""
         return self.scale / (self.weak_prior if self.prior is None else self.prior)
+
+
+def asked_for(gain: float, left: float, count: int, freedom: float) -> bool:
+    """Return whether rows ask for wider priors of ``count`` parameters, by F.
+
+    ``gain``: by how much these lower the sum of squares of rows and priors, to what is ``left`` of it; ``freedom``:
+    degrees of freedom of the noise.
+    """
+    return gain > 0.0 and bool(exceeded(gain * freedom / max(left, _NO_COST), count, freedom) < _SURELY)
 
 
 def width(kind: ParameterKind, unit: str, reach: float = 0.0) -> float:

@@ -17,14 +17,13 @@ import numpy as np
 import scipy
 
 from calib.foundations.arrays import Array, BoolArray
-from calib.foundations.chance import exceeded
 from calib.foundations.errors import IdentificationError, PoseError
 from calib.foundations.linear import ROUNDING
 from calib.identification import identifiability, weights
 from calib.identification.arrow import Arrow, Covariance, Inverse, Reduced, Split
 from calib.identification.identifiability import Directions, Spectrum
 from calib.identification.least_squares import LeastSquares
-from calib.identification.parameters import scales
+from calib.identification.parameters import asked_for, scales
 from calib.identification.system import Evaluation
 
 _MOST_STEPS, _MANY_STEPS = 60, 20
@@ -54,8 +53,6 @@ _HELD = 10.0
 _NARROWER = (1.0, 10.0, 100.0)
 # By this share of the cost the data must ask for a place from which narrower priors keep a parameter.
 _CLEARLY_HELD = 0.05
-# How improbable it must be that joint terms are not larger than their priors let them be; what is left, at least.
-_SURELY, _NO_COST = 1e-4, 1e-12
 
 
 class Solution(NamedTuple):
@@ -171,7 +168,7 @@ def _ended(
         last, done = ended
         if done:
             search, end, narrowed, freed = wider, last, held, of
-    while converged and (found := _with_terms_freed(search, end)) is not None:
+    while converged and (found := _with_terms_freed(search, end, freed)) is not None:
         search, end, group = found
         freed |= {group}
     # What is seen at the start may be less than at the solution.
@@ -194,14 +191,16 @@ def _wider(problem: LeastSquares, narrowed: float) -> Iterator[tuple[float, froz
         yield 1.0, tools
 
 
-def _with_terms_freed(search: "_Search", end: "_Point") -> tuple["_Search", "_Point", str] | None:
+def _with_terms_freed(
+    search: "_Search", end: "_Point", freed: Collection[str]
+) -> tuple["_Search", "_Point", str] | None:
     """Return where a search ends that frees a group of joint terms which the data ask to be larger, and the group.
 
-    None where they ask it of none.
+    None where they ask it of none but those that are ``freed``.
     """
     for group, count in _terms_to_free(search.problem, learned=False).items():
         wider = search._replace(prior=search.prior.freed(search.problem, {group}))
-        if np.array_equal(wider.prior.hold, search.prior.hold) or not wider.asked(end, search.prior, count):
+        if group in freed or not wider.asked(end, search.prior, count):
             continue
         last, done = wider.gauss_newton(end.z, end.weighted_by)
         if done:
@@ -489,7 +488,7 @@ class _Search(NamedTuple):
         less = begin.gain - _Point.of(held.z, held.evaluation, held.weighted_by, other).gain
         gain = less + other.prior.cost(held.z) - noise.prior.cost(held.z)
         left, freedom = self.cost(begin, noise) - begin.gain, sum(noise.redundancies)
-        return gain > 0.0 and bool(exceeded(gain * freedom / max(left, _NO_COST), count, freedom) < _SURELY)
+        return asked_for(gain, left, count, freedom)
 
     def gauss_newton(self, z: Array, weighted_by: _Noise, *, near: bool = False) -> tuple[_Point, bool]:
         """Return the last good point from z (p,) on, and whether no more than a negligible step is left from there.
