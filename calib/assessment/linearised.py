@@ -161,18 +161,18 @@ class LinearisedSystem:
         number = {parameters[parameter].name: k for k, parameter in enumerate(common)}
         self._columns = [[number[term.name] for term in candidate.terms] for candidate in offered]
         self._filled = filled(self._columns)
-        self._free_terms()
+        self._widen_terms()
 
-    def _free_terms(self) -> None:
+    def _widen_terms(self) -> None:
         """Give joint terms their wider weak priors where rows ask for it, kind by kind until they ask no more.
 
         Beside all that is left without them, large terms would seem to be unknown, and their weak priors hold them.
         """
         groups, wider = defaultdict[str, list[int]](list), np.zeros(len(self._split.common))
         for k, parameter in enumerate(self._problem.parameters[p] for p in self._split.common):
-            if parameter.kind == "term" and parameter.freed is not None:
-                groups[parameter.freed.group].append(k)
-                wider[k] = (parameter.scale / parameter.freed.prior) ** 2
+            if parameter.kind == "term" and parameter.wider is not None:
+                groups[parameter.wider.group].append(k)
+                wider[k] = (parameter.scale / parameter.wider.prior) ** 2
         products = self.products(np.zeros(sum(int(own.sum()) for own in self._looked_at), dtype=np.intp))
         beside, asking = list(self._geometry), True
         while asking:

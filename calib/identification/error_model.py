@@ -18,7 +18,7 @@ from calib.foundations.sealing import sealed
 from calib.foundations.selection import Selection, listed_names, named, select
 from calib.foundations.words import refuse_other
 from calib.identification.machine import POSE, Frames, Layout
-from calib.identification.parameters import FREED_TERM, TERM_WIDTH, Freed, Parameter, ParameterKind, Priors, width
+from calib.identification.parameters import TERM_WIDTH, WIDER_TERM, Parameter, ParameterKind, Priors, Wider, width
 from calib.identification.relations import Relation
 from calib.identification.set_ups import SetUp
 from calib.identification.targets import Target
@@ -175,8 +175,8 @@ class ErrorModel:
                 entries = ((layout.terms + t, 1.0),)
                 weak = TERM_WIDTH * size
                 # A time constant, in decades, is no size.
-                freed = Freed(FREED_TERM * weak, alike) if stated is None and unit != "decade" else None
-                found.append(Parameter(term.name, unit, "term", entries, stated, size, group, weak, freed))
+                wider = Wider(WIDER_TERM * weak, alike) if stated is None and unit != "decade" else None
+                found.append(Parameter(term.name, unit, "term", entries, stated, size, group, weak, wider))
         for s, setup in enumerate(setups):
             known = self.known_base(setup)
             prefix = "base" if setup == ONLY_SETUP else f"base.{setup}"

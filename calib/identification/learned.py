@@ -59,20 +59,20 @@ def solve_learning(
 ) -> tuple[Problem, Solution, tuple[LearnedPrior, ...]]:
     """Solve a problem from x0 (p,) and learn the widths of its groups; returns it with the learned priors.
 
-    Joint terms that are freed have their wider weak priors in what is returned. ``near``: where the first minimum is,
-    if that is nearly known. Raises what :func:`calib.identification.solver.solve` raises.
+    Joint terms have their wider weak priors in what is returned, where rows ask for them. ``near``: where the first
+    minimum is, if that is nearly known. Raises what :func:`calib.identification.solver.solve` raises.
     """
     problem, found, learned = _solved(problem, x0, variances, near)
-    while terms := found.freed - {UNSHOWN_TOOLS}:
-        problem = with_freed(problem, terms)
+    while terms := found.widened - {UNSHOWN_TOOLS}:
+        problem = with_widened(problem, terms)
         problem, again, learned = _solved(problem, x0, variances, Near(found.x, found.variances))
         found = again._replace(evaluations=found.evaluations + again.evaluations)
     return problem, found, learned
 
 
-def with_freed(problem: Problem, groups: Collection[str]) -> Problem:
+def with_widened(problem: Problem, groups: Collection[str]) -> Problem:
     """Return a problem with the wider weak priors of parameters of these groups."""
-    return replace(problem, parameters=tuple(parameter.as_freed(groups) for parameter in problem.parameters))
+    return replace(problem, parameters=tuple(parameter.widened(groups) for parameter in problem.parameters))
 
 
 def _solved(
@@ -86,7 +86,7 @@ def _solved(
     problem = _with_widths(problem, names, widths)
     found = seek(problem, x0, variances, near, roughly=True)
     while found.converged and (larger := found.asked):
-        problem = _with_widths(with_freed(problem, larger), names, widths)
+        problem = _with_widths(with_widened(problem, larger), names, widths)
         found = seek(problem, x0, variances, Near(found.x, found.noise.variances), roughly=True)
     rows = _equations(problem, found, variances, names)
     seen = _seen(rows, usual)

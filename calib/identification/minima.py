@@ -8,7 +8,7 @@ from calib.foundations.arrays import Array
 from calib.identification import weights
 from calib.identification.initialisation.anchors import anchors_anew
 from calib.identification.initialisation.tools_elsewhere import tools_elsewhere
-from calib.identification.learned import LearnedPrior, solve_learning, with_freed
+from calib.identification.learned import LearnedPrior, solve_learning, with_widened
 from calib.identification.mirrored import LIKELY, behind, with_turns
 from calib.identification.parameters import UNSHOWN_TOOLS, scales
 from calib.identification.solver import Near, Solution, seek, solve
@@ -32,7 +32,7 @@ def searched(
     if not once:
         problem, found, learned = _with_tools(problem, found, learned, x0, variances)
         problem, found, learned, alike = _behind(problem, found, learned, x0, variances)
-    return with_freed(problem, found.freed & {UNSHOWN_TOOLS}), found, learned, alike
+    return with_widened(problem, found.widened & {UNSHOWN_TOOLS}), found, learned, alike
 
 
 def with_anchors(problem: Problem, found: Solution, variances: Sequence[float | None] | None) -> Solution:
@@ -65,9 +65,9 @@ def _with_tools(
     before, after = _squares(problem, found.x, sigmas), [_squares(problem, end.x, sigmas) for end in ends]
     best = ends[int(np.argmin(after))]
     if _clearly_less(min(after), before):
-        freed = with_freed(problem, {UNSHOWN_TOOLS})
+        widened = with_widened(problem, {UNSHOWN_TOOLS})
         for begin, near in ((x0, Near(best.x, best.noise.variances)), (best.x, None)):
-            new, again, anew = solve_learning(freed, begin, variances, near)
+            new, again, anew = solve_learning(widened, begin, variances, near)
             count += again.evaluations
             if _clearly_less(_squares(new, again.x, sigmas), before):
                 return new, again._replace(evaluations=count), anew

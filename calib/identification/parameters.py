@@ -38,7 +38,7 @@ UNSHOWN_TOOL_WIDTH = 0.03
 FRAME_WIDTH = 10.0
 TERM_WIDTH = 10.0
 # Weak priors of terms that the data clearly ask to be larger than those of industrial arms: so many times as wide.
-FREED_TERM = 100.0
+WIDER_TERM = 100.0
 # How improbable it must be that they are not larger than their priors let them be; what is left, at least.
 _SURELY, _NO_COST = 1e-4, 1e-12
 # The group of tools whose points poses do not show.
@@ -86,7 +86,7 @@ class Priors:
         return prior
 
 
-class Freed(NamedTuple):
+class Wider(NamedTuple):
     """The standard deviation of a wider weak prior, which all parameters of a ``group`` get together."""
 
     prior: float
@@ -103,7 +103,7 @@ class Parameter:
     is its scale where no prior is stated. Where a prior's width is learned, ``group`` names those that share it, and
     the prior is None until then. ``weak_prior``: the standard deviation of the weak prior that takes its place where
     there is none, about nominal, or about the start of what has no nominal value; wide enough to be negligible wherever
-    the data determine the parameter. ``freed``: the wider one that it gets where the data clearly ask for a value
+    the data determine the parameter. ``wider``: the one that it gets where the data clearly ask for a value
     farther off; joint terms get a scale that is as many times larger. ``centre``: about which value the prior is, where
     that is neither nominal nor the start.
     """
@@ -116,7 +116,7 @@ class Parameter:
     typical_size: float = DEFAULT_SIGMA
     group: str | None = None
     weak_prior: float = math.inf
-    freed: Freed | None = None
+    wider: Wider | None = None
     centre: float | None = None
 
     @property
@@ -134,13 +134,13 @@ class Parameter:
         """Whether its prior is stated, and not learned."""
         return self.prior is not None and self.group is None
 
-    def as_freed(self, groups: Collection[str]) -> "Parameter":
+    def widened(self, groups: Collection[str]) -> "Parameter":
         """Return the parameter with its wider weak prior, where it is of these groups."""
-        if self.freed is None or self.freed.group not in groups:
+        if self.wider is None or self.wider.group not in groups:
             return self
-        wider = self.freed.prior
+        wider = self.wider.prior
         size = self.typical_size * (wider / self.weak_prior if self.kind == "term" else 1.0)
-        return replace(self, weak_prior=wider, freed=None, typical_size=size)
+        return replace(self, weak_prior=wider, wider=None, typical_size=size)
 
     @property
     def scale(self) -> float:
@@ -155,7 +155,7 @@ class Parameter:
         tools are.
         """
         own = self.weak_prior if self.prior is None else self.prior
-        return max(own, TOOL) if self.kind == "tool" and self.freed is not None else own
+        return max(own, TOOL) if self.kind == "tool" and self.wider is not None else own
 
     @property
     def hold(self) -> float:

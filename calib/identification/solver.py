@@ -62,7 +62,7 @@ class Solution(NamedTuple):
     left out, and ``spectrum``: how well; ``with_priors``: the same of data and stated priors. ``start``: the data's
     rows at the start point, whitened with the final noise. ``variances`` and ``redundancies``: of every component.
     ``step``: the last one, in parameter scales. ``narrowed``: by how much weak priors were narrower than is usual, for
-    the robot at least. ``freed``: the groups of parameters that needed the wider prior that they have for that. ``off``
+    the robot at least. ``widened``: groups of parameters that have the wider prior, as they needed it. ``off``
     (p,): by how much x is off the minimum where it was found in another way, in SI units.
     """
 
@@ -78,7 +78,7 @@ class Solution(NamedTuple):
     step: float
     converged: bool
     narrowed: float = 1.0
-    freed: frozenset[str] = frozenset()
+    widened: frozenset[str] = frozenset()
     off: Array | None = None
 
     @property
@@ -159,30 +159,30 @@ def _ended(
     search: "_Search", prior: "_Prior", first: Evaluation, end: "_Point", converged: bool, narrowed: float
 ) -> "Sought":
     """Return where a search ends, from where priors narrower than ``prior`` may have held it."""
-    freed, last = frozenset[str](), end
+    widened, last = frozenset[str](), end
     for held, of in _wider(search.problem, narrowed) if converged else ():
-        wider = search._replace(prior=prior.freed(search.problem, of).weighed_for_robot(held))
+        wider = search._replace(prior=prior.widened(search.problem, of).weighed_for_robot(held))
         ended = wider.released(last)
         if ended is None:
             continue
         last, done = ended
         if done:
-            search, end, narrowed, freed = wider, last, held, of
-    while converged and (found := _with_terms_freed(search, end, freed)) is not None:
+            search, end, narrowed, widened = wider, last, held, of
+    while converged and (found := _with_terms_widened(search, end, widened)) is not None:
         search, end, group = found
-        freed |= {group}
+        widened |= {group}
     # What is seen at the start may be less than at the solution.
     _refuse_too_few(search.problem, end.evaluation, search.prior)
     # The last step is applied and not evaluated: each one is about a thousand times smaller than the one before it.
     z = end.z + end.full if converged else end.z
     z = np.where(np.abs(z) < _ROUNDING, 0.0, z)
     noise = search.noise(z, end.evaluation, end.weighted_by, sought=False)
-    return Sought(search, first, end, z, noise, converged, narrowed, freed)
+    return Sought(search, first, end, z, noise, converged, narrowed, widened)
 
 
 def _wider(problem: LeastSquares, narrowed: float) -> Iterator[tuple[float, frozenset[str]]]:
-    """Yield in which order priors get wider than those of a search: the factor of the robot's, and what is freed."""
-    tools = frozenset(p.freed.group for p in problem.parameters if p.kind == "tool" and p.freed is not None)
+    """Yield in which order priors get wider than those of a search: the factor of the robot's, and groups."""
+    tools = frozenset(p.wider.group for p in problem.parameters if p.kind == "tool" and p.wider is not None)
     if narrowed > 1.0:
         yield narrowed, frozenset()
     if tools:
@@ -191,16 +191,16 @@ def _wider(problem: LeastSquares, narrowed: float) -> Iterator[tuple[float, froz
         yield 1.0, tools
 
 
-def _with_terms_freed(
-    search: "_Search", end: "_Point", freed: Collection[str]
+def _with_terms_widened(
+    search: "_Search", end: "_Point", widened: Collection[str]
 ) -> tuple["_Search", "_Point", str] | None:
-    """Return where a search ends that frees a group of joint terms which the data ask to be larger, and the group.
+    """Return where a search ends with the wider prior of a group of joint terms, if rows ask for it, and the group.
 
-    None where they ask it of none but those that are ``freed``.
+    None where they ask for that of none but those that are ``widened``.
     """
-    for group, count in _terms_to_free(search.problem, learned=False).items():
-        wider = search._replace(prior=search.prior.freed(search.problem, {group}))
-        if group in freed or not wider.asked(end, search.prior, count):
+    for group, count in _terms_to_widen(search.problem, learned=False).items():
+        wider = search._replace(prior=search.prior.widened(search.problem, {group}))
+        if group in widened or not wider.asked(end, search.prior, count):
             continue
         last, done = wider.gauss_newton(end.z, end.weighted_by)
         if done:
@@ -208,10 +208,10 @@ def _with_terms_freed(
     return None
 
 
-def _terms_to_free(problem: LeastSquares, *, learned: bool) -> Counter[str]:
-    """Return the groups of joint terms that may be freed, with how many are in each; of ``learned`` widths, or not."""
+def _terms_to_widen(problem: LeastSquares, *, learned: bool) -> Counter[str]:
+    """Return the groups of joint terms that may get it, with how many are in each; of ``learned`` widths, or not."""
     terms = [p for p in problem.parameters if p.kind == "term" and (p.group is not None) == learned]
-    return Counter(p.freed.group for p in terms if p.freed is not None)
+    return Counter(p.wider.group for p in terms if p.wider is not None)
 
 
 class _Prior(NamedTuple):
@@ -245,10 +245,10 @@ class _Prior(NamedTuple):
         """Return the priors with the weights of weak ones of the robot times a factor; frames keep theirs."""
         return self._replace(hold=np.where(self.stated | ~self.of_robot, 1.0, factor) * self.hold)
 
-    def freed(self, problem: LeastSquares, groups: Collection[str]) -> "_Prior":
+    def widened(self, problem: LeastSquares, groups: Collection[str]) -> "_Prior":
         """Return the priors with the wider ones of parameters of these groups."""
         return self._with(
-            {p.name: p.freed.prior for p in problem.parameters if p.freed and p.freed.group in groups}, problem
+            {p.name: p.wider.prior for p in problem.parameters if p.wider and p.wider.group in groups}, problem
         )
 
     def unlearned(self, problem: LeastSquares, group: str) -> "_Prior":
@@ -604,7 +604,7 @@ class Sought(NamedTuple):
     noise: _Noise
     converged: bool
     narrowed: float
-    freed: frozenset[str]
+    widened: frozenset[str]
 
     @property
     def x(self) -> Array:
@@ -625,8 +625,8 @@ class Sought(NamedTuple):
     def asked(self) -> frozenset[str]:
         """The groups of joint terms with learned widths which rows ask to be larger than weak priors let them be."""
         search, found = self.search, set[str]()
-        for group, count in _terms_to_free(search.problem, learned=True).items():
-            weak, wide = search.prior.unlearned(search.problem, group), search.prior.freed(search.problem, {group})
+        for group, count in _terms_to_widen(search.problem, learned=True).items():
+            weak, wide = search.prior.unlearned(search.problem, group), search.prior.widened(search.problem, {group})
             if search._replace(prior=wide).asked(self.end, weak, count):
                 found.add(group)
         return frozenset(found)
@@ -635,7 +635,9 @@ class Sought(NamedTuple):
     def told(self) -> Solution:
         """The solution with what the data tell there."""
         found = _solution(self.search, self.z, self.end.evaluation, self.noise, self.first)
-        return found._replace(step=self.end.length, converged=self.converged, narrowed=self.narrowed, freed=self.freed)
+        return found._replace(
+            step=self.end.length, converged=self.converged, narrowed=self.narrowed, widened=self.widened
+        )
 
 
 def _solution(search: _Search, z: Array, evaluation: Evaluation, noise: _Noise, first: Evaluation) -> Solution:

@@ -169,9 +169,11 @@ def likelihood(rows: NormalEquations, widths: Array, factors: Array) -> Likeliho
     # The sum of squares at its least, in a form that is not negative by rounding: x and what holds it, each by itself.
     value = float(x @ gram @ x + np.sum(x[:p] ** 2 * hold) + 2.0 * np.sum(np.log(np.diag(lower))))
     value += float(2.0 * count @ np.log(widths) + 2.0 * rows.counts @ np.log(factors))
-    traces = 2.0 * np.einsum("ij,cij->c", C, rows.grams[:, :p, :p])
-    traces -= np.einsum("i,cii->c", diagonal, rows.grams[:, :p, :p])
-    used = (traces + np.einsum("i,cij,j->c", x, rows.grams, x, optimize=True)) / factors**2
+    # Traces of products with the covariance, of which one triangle is there, and the sum of squares: in one pass.
+    weights = np.outer(x, x)
+    weights[:p, :p] += 2.0 * C
+    weights[range(p), range(p)] -= diagonal
+    used = rows.grams.reshape(len(rows.grams), -1) @ weights.ravel() / factors**2
     return Likelihood(value, 2.0 * (gamma - sums(x[:p] ** 2)), 2.0 * (rows.counts - used), gamma, x[:p])
 
 

@@ -50,7 +50,7 @@ def test_a_large_wave_is_found_from_few_rows(wave: float, count: int) -> None:
     assert fit.noise[0].model < SIGMA
 
 
-def test_each_kind_is_freed_by_itself_and_both_where_both_ask() -> None:
+def test_each_kind_is_widened_by_itself_and_both_where_both_ask() -> None:
     typical = {p.name: p.typical_size for p in fitted(*rows(1, 40)).parameters if p.kind == "term"}
 
     def times(fit: calib.Fit) -> dict[str, float]:
@@ -68,7 +68,7 @@ def test_each_kind_is_freed_by_itself_and_both_where_both_ask() -> None:
 def test_ordinary_terms_keep_their_weak_priors() -> None:
     for seed in range(4):
         fit = fitted(*rows(seed, 20, wave=5e-4, gain=5e-4))
-        assert all(p.freed is not None for p in fit.parameters if p.kind == "term")
+        assert all(p.wider is not None for p in fit.parameters if p.kind == "term")
 
 
 def test_the_order_of_rows_and_where_the_world_is_change_nothing() -> None:
@@ -137,7 +137,7 @@ def test_learned_widths_of_ordinary_terms_keep_their_scale() -> None:
     )
     for seed in range(3):
         fit = calib.identify(model, rows(seed, 30, wave=5e-4)[1])
-        assert all(p.freed is not None for p in fit.parameters if p.kind == "term")
+        assert all(p.wider is not None for p in fit.parameters if p.kind == "term")
 
 
 def test_the_choice_of_terms_finds_a_soft_arm() -> None:

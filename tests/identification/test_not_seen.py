@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.identification.not_seen import likely_widths
-from calib.identification.parameters import TOOL, UNSHOWN_TOOL_WIDTH, UNSHOWN_TOOLS, Freed, Parameter
+from calib.identification.parameters import TOOL, UNSHOWN_TOOL_WIDTH, UNSHOWN_TOOLS, Parameter, Wider
 
 LENGTHS = tuple(Parameter(f"joint_{k}.tx", "m", "placement", ((k, 1.0),), weak_prior=1e-2) for k in range(40))
 ZEROS = tuple(Parameter(f"joint_{k}.offset", "rad", "offset", ((k, 1.0),), weak_prior=0.1) for k in range(6))
@@ -65,7 +65,7 @@ def test_without_noise_nothing_breaks() -> None:
 
 
 def test_a_tool_that_is_held_nearer_than_it_is_known_is_as_far_as_tools_are() -> None:
-    tool = Parameter("tool.x", "m", "tool", ((0, 1.0),), weak_prior=UNSHOWN_TOOL_WIDTH, freed=Freed(1.3, UNSHOWN_TOOLS))
+    tool = Parameter("tool.x", "m", "tool", ((0, 1.0),), weak_prior=UNSHOWN_TOOL_WIDTH, wider=Wider(1.3, UNSHOWN_TOOLS))
     nothing = np.zeros((1, 1)), np.zeros(1), np.zeros(1)
     assert likely_widths((tool,), *nothing) * tool.scale == pytest.approx(TOOL)
-    assert likely_widths((tool.as_freed({UNSHOWN_TOOLS}),), *nothing) * tool.scale == pytest.approx(1.3)
+    assert likely_widths((tool.widened({UNSHOWN_TOOLS}),), *nothing) * tool.scale == pytest.approx(1.3)

@@ -88,7 +88,7 @@ def test_narrower_priors_do_not_pull_the_tool_to_where_the_fit_is_clearly_worse(
 
 
 @pytest.mark.parametrize("others", [0, 3000])
-def test_a_tool_is_freed_where_the_data_clearly_ask_for_another_place(others: int) -> None:
+def test_a_tool_gets_a_wider_prior_where_the_data_clearly_ask_for_another_place(others: int) -> None:
     """Of an arm that is far from nominal, bends of the kinematics tell of the tool though the flange never turns.
 
     Also beside many rows of another table that hardly tell anything.

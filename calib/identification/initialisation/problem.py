@@ -21,7 +21,7 @@ from calib.identification import targets
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initialise, turned, turned_by
 from calib.identification.machine import Frames, Layout, Machine, values_at
-from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, UNSHOWN_TOOLS, Freed, Parameter, ParameterKind
+from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, UNSHOWN_TOOLS, Parameter, ParameterKind, Wider
 from calib.identification.relations import related_targets
 from calib.identification.rows import frame_numbers
 from calib.identification.set_ups import SetUp
@@ -354,7 +354,7 @@ def _with_unshown_tools(parameters: tuple[Parameter, ...], unshown: BoolArray, l
         return component < 3 and bool(unshown[tool])
 
     def narrowed(q: Parameter) -> Parameter:
-        return replace(q, weak_prior=UNSHOWN_TOOL_WIDTH, freed=Freed(q.weak_prior, UNSHOWN_TOOLS))
+        return replace(q, weak_prior=UNSHOWN_TOOL_WIDTH, wider=Wider(q.weak_prior, UNSHOWN_TOOLS))
 
     return tuple(narrowed(q) if held(q) else q for q in parameters)
 

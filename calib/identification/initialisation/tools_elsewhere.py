@@ -25,7 +25,7 @@ def tools_elsewhere(problem: Problem, x0: Array) -> tuple[Array, ...]:
     tools, or where a tip link hardly turns at all.
     """
     robot, sets, layout = problem.model.robot, problem.measurements, Layout.of(problem.model.robot, problem.reference)
-    held = sorted({layout.frame_of(p)[0] for p in problem.parameters if p.kind == "tool" and p.freed is not None})
+    held = sorted({layout.frame_of(p)[0] for p in problem.parameters if p.kind == "tool" and p.wider is not None})
     if not held:
         return ()
     tips, bases = [data.tips(robot, problem.held) for data in sets], problem.reference.bases[:, :3, :3]
