@@ -30,6 +30,8 @@ Kind = Literal["null space", "weakly determined", "correlated"]
 # them one by one. Shares of a direction are told to a hundredth, and those of identifiable parameters stay below 0.02.
 _SHOWN = 0.05
 _MOST_ROWS = 200
+# Of all tables together, where there are many.
+_MOST_OF_ALL = 3000
 # Of a set-up and a tool of a table, where a direction is tried at random readings.
 _FEWEST_ROWS = 10
 _CORRELATED = 0.95
@@ -192,7 +194,8 @@ def _tried(
 ) -> list[tuple[str, ...]]:
     """Return, for every direction, the remedies that show it."""
     frames = initial_frames(model, sets)
-    sets = [data.subset(np.linspace(0, len(data) - 1, min(len(data), _MOST_ROWS)).astype(np.intp)) for data in sets]
+    most = max(min(_MOST_ROWS, _MOST_OF_ALL // len(sets)), 2 * _FEWEST_ROWS)
+    sets = [data.subset(np.linspace(0, len(data) - 1, min(len(data), most)).astype(np.intp)) for data in sets]
     names = [parameter.name for parameter in model.parameters(sets[0].tools, sets[0].setups)]
     found: list[list[str]] = [[] for _ in null_space]
     for remedy in ("orientation", "points"):

@@ -115,7 +115,7 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     sized = _sized(waves, wind_up)
     drifts = m - of_readings.many
     taught = _Taught(
-        _by_level([left[a:b].T @ left[a:b] for a, b in itertools.pairwise(ends)], level, scale),
+        _by_level(left, ends, level, scale),
         np.array([max(one.freedom, 1.0) for one in levels]),
         _instrument(problem, sigmas)[[one.component for one in levels]],
         np.concatenate([sized, np.full(drifts, sized.max() + 1)]),
@@ -236,13 +236,11 @@ def _levels(fit: Fit, problem: Problem) -> list[_Level]:
     return found
 
 
-def _by_level(grams: Sequence[Array], level: IntArray, scale: Array) -> list[Array]:
-    found: list[Array] = []
-    for gram, k, s in zip(grams, level, scale, strict=True):
-        if k == len(found):
-            found.append(gram / s)
-        else:
-            found[k] = found[k] + gram / s
+def _by_level(left: Array, ends: IntArray, level: IntArray, scale: Array) -> Array:
+    """Return the grams (c, m + 1, m + 1) of every level, of what is ``left`` (q, m + 1) of its parts."""
+    found = np.zeros((int(level.max()) + 1, left.shape[1], left.shape[1]))
+    for (a, b), k, s in zip(itertools.pairwise(ends), level, scale, strict=True):
+        found[k] += left[a:b].T @ left[a:b] / s
     return found
 
 
@@ -365,13 +363,13 @@ class _Learned(NamedTuple):
 
 
 class _Taught(NamedTuple):
-    """What teaches sizes: grams (m + 1, m + 1) of ``[B r]`` that the solution leaves, of every component.
+    """What teaches sizes: ``grams`` (c, m + 1, m + 1) of ``[B r]`` that the solution leaves, of every component.
 
     ``freedom`` (c,) and ``instrument`` (c,) of the components; ``group`` (m,) of the columns, ``drifts``: whether the
     last of them are.
     """
 
-    grams: list[Array]
+    grams: Array
     freedom: Array
     instrument: Array
     group: IntArray
@@ -379,7 +377,7 @@ class _Taught(NamedTuple):
 
     def sizes(self, rows_as_one: Array) -> _Learned:
         """Return what the grams teach, where so many rows (c,) are one."""
-        grams = np.stack(self.grams) / rows_as_one[:, None, None]
+        grams = self.grams / rows_as_one[:, None, None] if np.any(rows_as_one != 1.0) else self.grams
         m, c = len(self.group), len(grams)
         known, fixed = np.zeros((m + 1, m + 1)), np.zeros(c, dtype=bool)
         rows = NormalEquations(grams, self.freedom / rows_as_one, known, self.instrument, fixed, self.group)

@@ -36,8 +36,9 @@ from calib.robot.robot import Robot, TipModel
 _ORDERS = 6
 # Of an encoder 20 arc seconds are usual, of a slide a tenth of a millimetre; what slides has no shorter period, in m.
 _USUAL, _SHORTEST = 1e-4, 0.1
-# A random walk has hardly more eigenfunctions than that; each takes so many rows.
-_DRIFTS, _ROWS_FOR_ONE = 5, 10
+# A random walk has hardly more eigenfunctions than that; each takes so many rows. Of many sets each has fewer, as all
+# are learned together: the first one alone has four fifths of a walk's variance.
+_DRIFTS, _ROWS_FOR_ONE, _MOST_DRIFTS = 5, 10, 100
 
 
 def usual_waves(robot: Robot, identified: Array) -> Waves:
@@ -80,7 +81,9 @@ class Systematic:
         self._problem, self._at, self._sigmas, self._of_readings = problem, at, sigmas, of_readings
         self.rates = problem.rates(at, units, split)
         self._tips: dict[str, TipModel] = {}
-        self._many = [data.sigma.shape[1] * _drifts(len(data)) for data in problem.measurements]
+        most = min(max(_MOST_DRIFTS // max(len(problem.measurements), 1), 1), _DRIFTS)
+        self._drifts = [min(most, len(data) // _ROWS_FOR_ONE) for data in problem.measurements]
+        self._many = [data.sigma.shape[1] * n for data, n in zip(problem.measurements, self._drifts, strict=True)]
 
     @property
     def columns(self) -> int:
@@ -136,7 +139,7 @@ class Systematic:
     def _drifted(self, i: int, rows: slice) -> Array:
         N, d = self._problem.measurements[i].sigma.shape
         t = (np.arange(N)[rows] + 0.5) / N
-        f = (np.arange(_drifts(N)) + 0.5) * np.pi
+        f = (np.arange(self._drifts[i]) + 0.5) * np.pi
         walk = np.sqrt(2.0) * np.sin(t[:, None] * f) / f
         found = np.zeros((len(t), d, sum(self._many)))
         start = sum(self._many[:i])
@@ -149,7 +152,3 @@ def driven(tip: TipModel, tools: Array, readings: Array, conditions: Conditions)
     """Return the local twists (N, 6, nr) of tools (4, 4), or (N, 4, 4), per change of the readings (N, nr)."""
     _, by_reading = tip.driven(readings, conditions)
     return np.asarray(rigid.adjoint(rigid.inverse(tools)) @ by_reading)
-
-
-def _drifts(rows: int) -> int:
-    return min(_DRIFTS, rows // _ROWS_FOR_ONE)

@@ -1,6 +1,7 @@
 """The budget of the tool point: what is not seen stays wide, what repeats is found, a grid leaves the wrist."""
 
 import json
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -162,6 +163,26 @@ def test_what_the_data_do_not_show_has_the_width_of_not_knowing() -> None:
     assert np.median(tool_uncertainty(narrow, q).position) < 2e-4
     assert np.median(tool_uncertainty(narrow, turned).position) > 1e-3
     assert share(narrow, turned, "parameters") > 0.9e-3
+
+
+def test_drifts_of_many_tables_take_little_memory_and_are_still_told() -> None:
+    rng = np.random.default_rng(8)
+    ways = np.repeat(rng.normal(0.0, 4.0 * SIGMA, (72, 3)), 50, axis=0)
+
+    def drifting(seen: Array) -> Array:
+        return seen + ways * (np.arange(3600) % 50 / 50)[:, None]
+
+    (plain, _, arm), (drifted, *_) = (fitted(rows=3600, disturbed=change) for change in (None, drifting))
+    q, told = arm.draw(np.random.default_rng(1), 50), []
+    for fit in (plain, drifted):
+        (data,) = fit.measurements
+        many = calib.identify(fit.model, [data.subset(rows) for rows in np.array_split(np.arange(3600), 72)])
+        tracemalloc.start()
+        told.append(share(machine_of(many), q, "instrument"))
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 400e6, "with five shapes of a drift of each table it is 2.8 GB"
+    assert told[1] > 3.0 * told[0]
 
 
 def test_a_drift_is_the_instruments_and_rows_that_err_together_count_less() -> None:
