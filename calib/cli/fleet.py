@@ -57,6 +57,10 @@ def fleet(
             f"The fleet is in {out}: {PAGE}, {SUMMARY_CSV}, {SUMMARY_JSON}, and a folder for every job.",
         ],
     )
+    if telling.quiet:
+        for line in lines:
+            if line.word == "failed":
+                show_error(f"{line.name}: {' '.join(line.why)}")
     words = {line.word for line in lines}
     if "failed" in words:
         raise typer.Exit(BAD_INPUT)

@@ -1,4 +1,4 @@
-"""CSV for people with spreadsheets: words that these would compute stay words.
+"""CSV for people with spreadsheets: words that these would compute stay words, and none commands a terminal.
 
 Which of commas, semicolons, tabs and bars part the cells, a spreadsheet decides, by its language or by its user: text
 behind any of them may be the beginning of a cell.
@@ -10,6 +10,7 @@ from collections.abc import Iterable
 
 from calib.foundations.errors import CalibError
 from calib.foundations.units import NUMBER
+from calib.foundations.words import harmless
 
 _LONGEST_LINE = 2_000
 
@@ -77,7 +78,10 @@ def has_formula(text: str) -> bool:
 
 
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
-    """Return rows as CSV; before a text that would be a formula stands an apostrophe, as spreadsheets mark texts."""
+    """Return rows as CSV; before a text that would be a formula stands an apostrophe, as spreadsheets mark texts.
+
+    What would command a terminal, or turn round the words behind it, is an escape.
+    """
     return "".join(",".join(map(csv_cell, row)) + "\n" for row in rows)
 
 
@@ -85,7 +89,7 @@ def csv_cell(value: object) -> str:
     """Return one cell of :func:`csv_text`."""
     if isinstance(value, str) and (not value or NUMBER.fullmatch(value)):  # most: no formula, and nothing to quote
         return value
-    text = _defused(value) if isinstance(value, str) else str(value)
+    text = _defused(harmless(value)) if isinstance(value, str) else str(value)
     return '"' + text.replace('"', '""') + '"' if _TO_QUOTE.search(text) or text != text.strip() else text
 
 

@@ -13,7 +13,6 @@ from calib.foundations.errors import OutputError
 from calib.foundations.files import write_atomically
 from calib.foundations.folders import still_meant
 from calib.foundations.json_text import document
-from calib.foundations.words import harmless
 from calib.job.fleet import PAGE, SUMMARY_CSV, SUMMARY_JSON, Done, refuse_other_summary
 from calib.presentation.fleet_tables import JobLine, QuantityError, fleet_report
 from calib.presentation.report.page import render_page
@@ -80,7 +79,7 @@ def summary_csv(lines: Sequence[JobLine]) -> str:
                 shown = (line.data, error.quantity, error.n, *values, unit)
             rest = (line.rank, line.parameters, line.outliers, line.report, " ".join(line.why))
             rows.append([line.name, line.file, line.word, *shown, *("" if v is None else v for v in rest)])
-    return harmless(csv_text(rows))
+    return csv_text(rows)
 
 
 def write_summary(lines: Sequence[JobLine], out: Path, meant: Path | None = None) -> None:

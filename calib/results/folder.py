@@ -26,7 +26,6 @@ from calib.foundations.folders import (
 )
 from calib.foundations.json_text import NotJsonError, document, parse_json
 from calib.foundations.units import DEG, MM
-from calib.foundations.words import harmless
 from calib.identification.error_model import corrected_dh
 from calib.identification.fit import Fit
 from calib.machine.calibrated import CalibratedMachine
@@ -343,7 +342,7 @@ def residual_table(found: Calibration) -> str:
                 row |= {f"{when}_{title}": _shown(value, title) for title, value in zip(own, r[n], strict=False)}
             errors = (row.get(title, "") for title in titles)
             rows.append([judged.use, judged.file, line, data.tools[data.tool[n]], *errors])
-    return harmless(csv_text(rows))
+    return csv_text(rows)
 
 
 def _columns_of(kind: Kind) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import has_formula
 from calib.foundations.errors import RobotError
-from calib.foundations.words import shown
+from calib.foundations.words import harmless, shown
 from calib.robot import deviation
 from calib.robot.gravity import STANDARD_GRAVITY, Load, Payload, checked_gravity, checked_payload
 from calib.robot.loops import Loop
@@ -67,11 +67,7 @@ def load_robot(
         raise RobotError(
             f"{document.where}: the arm and its loops have {len(joints)} joints; allowed are {MOST_JOINTS}."
         )
-    # They head the columns of tables that are written, and the rows of others.
-    if formula := next(filter(has_formula, (joint.name for joint in joints)), None):
-        raise RobotError(
-            f"{document.where}: joint {shown(formula)} has the name of a spreadsheet's formula; rename it."
-        )
+    _refuse_names(document, joints)
     chain = _chain(joints)
     moving = [joint for joint in joints if joint.type != "fixed"]
     closed = tuple(_loop(document, loop, joints, moving) for loop in loops)
@@ -142,6 +138,20 @@ def with_document(
     )
     loads = {name: Load(load.gravity, _on(link, load.payload)) for name, load in robot.loads.items()}
     return replace(found.with_loads(loads).with_tip(link(robot.tip)), setup=robot.setup)
+
+
+def _refuse_names(document: Urdf, joints: Sequence[UrdfJoint]) -> None:
+    """Refuse names that cannot head the columns of tables that are written, and be found there in others."""
+    for name in (joint.name for joint in joints):
+        if has_formula(name):
+            raise RobotError(
+                f"{document.where}: joint {shown(name)} has the name of a spreadsheet's formula; rename it."
+            )
+        if harmless(name) != name:
+            raise RobotError(
+                f"{document.where}: joint {shown(name)} has a character that commands a terminal or turns text round "
+                "in its name; rename it."
+            )
 
 
 def _on(link: Callable[[str], str], payload: Payload | None) -> Payload | None:

@@ -177,7 +177,6 @@ def test_cells() -> None:
         ("# a", '"# a"'),
         ("\ufeff=1+1", "\ufeff'=1+1"),  # at the start of a file the mark goes, and leaves a formula
         ("a;\u200b @sum", '"a;\u200b \'@sum"'),
-        ("\0-b", "\0'-b"),
     ],
 )
 def test_cells_of_other_separators_and_widths(word: str, written: str) -> None:
@@ -203,3 +202,28 @@ def test_a_name_that_was_marked_is_read_as_it_was(tool: str, tmp_path: Path) -> 
     (tmp_path / "measured.csv").write_text("\n".join(named) + "\n", encoding="utf-8")
     robot = load_robot(CASE / URDF, tip="probe")
     assert read_measurements(tmp_path / "measured.csv", robot).tools == (tool,)
+
+
+def test_cells_command_no_terminal() -> None:
+    assert csv_text([["\0-b", "a\r=1", "\x9b31m", "\u202ea", "é\tb"]]) == '\\x00-b,a\\x0d=1,\\x9b31m,\\u202ea,"é\tb"\n'
+
+
+@pytest.mark.parametrize("odd", ["a\x9b31m", "a\x7f", "a\u202eb"])
+def test_a_joint_whose_name_commands_is_refused(tmp_path: Path, odd: str) -> None:
+    """It would be the title of a column in every table of poses, and the name in files for controllers."""
+    copy_case(tmp_path)
+    edit(URDF, ('<joint name="joint_2"', f'<joint name="{odd}"'))(tmp_path)
+    said = run("plan", tmp_path / URDF, "-o", tmp_path / "poses.csv")
+    assert said.code == 1
+    escaped = odd.encode("unicode_escape").decode()
+    assert f"joint '{escaped}' has a character that commands a terminal or turns text round" in said.err
+
+
+def test_what_is_imported_commands_no_terminal(tmp_path: Path) -> None:
+    """JSON, workbooks and arrays hold as escapes or packed what a table would hold as it is."""
+    (tmp_path / "a.json").write_text(json.dumps([{"x\x9b31m": 1.5, "name": TERMINAL}, {"x\x9b31m": 2.5, "name": "b"}]))
+    said = run("import", tmp_path / "a.json", "-o", tmp_path / "a.csv")
+    assert (said.code, said.err) == (0, "")
+    text = (tmp_path / "a.csv").read_text(encoding="utf-8")
+    assert "\\x1b[31m" in text
+    assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202e]", text)

@@ -98,6 +98,11 @@ def test_python_may_be_told_to_look_closely(folder: Path, options: tuple[str, ..
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_a_quiet_fleet_tells_why_a_job_failed(folder: Path) -> None:
+    said = run("fleet", *jobs("bad.toml"), "-j", "1", "-q")
+    assert (said.code, said.out, said.err) == (1, "", f"Error: bad: {BAD}\n")
+
+
 def test_the_same_bytes_as_single_runs_and_a_bad_job_stops_nobody(folder: Path) -> None:
     said = run("fleet", *jobs("bad.toml", *GOOD), "--jobs", "2")
     assert (said.code, said.err) == (1, "")
