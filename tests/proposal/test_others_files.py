@@ -271,6 +271,24 @@ def test_lists_of_names_and_of_readings_are_columns_of_these_names(folder: Path,
         assert sheet.rows[2][:3] == ("0.3", "0.1", "2")
 
 
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_gripper_that_the_log_has_as_well_is_no_joint_of_the_arm(folder: Path, moves: bool) -> None:
+    """Joint states of a Panda name its fingers, too; the reflector is on the hand, whatever they do."""
+    arm = "example:panda_description/urdf/panda.urdf"
+    seen = session(arm, "panda_hand")
+    finger = np.tile([0.0, 0.04], 20) if moves else np.full(40, 0.02)
+    joints = [f"panda_joint{k}" for k in range(1, 8)]
+    fingers = ["panda_finger_joint1 [m]", "panda_finger_joint2 [m]"]
+    columns = [seen.readings, finger, finger, 1e3 * seen.position]
+    (folder / "measured.csv").write_text(
+        text([*(f"{j} [rad]" for j in joints), *fingers, "x [mm]", "y [mm]", "z [mm]"], columns)
+    )
+    found = calib.measuring.propose(arm, ["measured.csv"])
+    assert found.robot is not None
+    assert [reading.name for reading in found.robot.readings] == joints
+    assert found.tables[0].columns.ignore == tuple(fingers)
+
+
 def test_a_gripper_in_percent_is_no_joint_of_the_arm(folder: Path) -> None:
     """LeRobot records it with the arm's joints, and its URDF has another tip beside the jaw."""
     arm = "example:so_arm_description/urdf/so101.urdf"

@@ -195,15 +195,19 @@ def _as_answered(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
     return held
 
 
-def without_fingers(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
-    """Return picks of arms that end with fingers, such as a gripper in percent, as those of the arms before them."""
+def without_fingers(seen: Seen, picks: Sequence[Pick], *, by_name: bool = False) -> list[Pick]:
+    """Return picks of arms that end with fingers, such as a gripper in percent, as those of the arms before them.
+
+    ``by_name``: fingers are only what is called so, and no other joint that slides.
+    """
     arms = {arm.joints: arm for arm in reversed(seen.arms)}
     found = []
     for pick in picks:
         joints = pick.arm.joints
-        count = next((k for k in range(len(joints), 0, -1) if not _is_finger(seen, joints[k - 1])), 0)
+        ends = [_FINGER.search(name) is not None if by_name else _is_finger(seen, name) for name in joints]
+        count = next((k for k in range(len(joints), 0, -1) if not ends[k - 1]), 0)
         arm = arms.get(joints[:count])
-        if arm is not None and count < len(joints):
+        if arm is not None and count < len(joints) and not any(name in seen.named for name in joints[count:]):
             own = pick.joints._replace(columns=pick.joints.columns[:count])
             found.append(replace(pick, arm=arm, joints=own))
     return found

@@ -24,6 +24,9 @@ from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TORQUE, Column
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
+# An arm without its fingers fits no worse: by rounding alone, as a factor and as a share.
+_NO_WORSE, _NO_SHARE = 1 + 1e-6, 1e-9
+
 
 def read(document: Urdf, raw: RawTable, answers: Answers, robot: Robot | None) -> Found:
     """Return how a table is read; ``robot``: the arm that tables before it have shown.
@@ -48,6 +51,8 @@ def _positions(seen: Seen, picks: Sequence[Pick]) -> Found:
     if not any(trial.fit.share < fits.FOLLOWS for trial in trials):
         shorter = fits.trials(seen, without_fingers(seen, picks), ("m", "mm"), len(trials))
         trials = shorter if any(trial.fit.share < fits.ALIKE for trial in shorter) else trials
+    else:
+        trials = _less_fingers(seen, picks, trials)
     trials.sort(key=lambda trial: trial.fit.share)
     enough = trials and len(trials[0].rows) >= FEWEST_ROWS
     if enough and trials[0].fit.share < fits.FOLLOWS:
@@ -64,6 +69,16 @@ def _positions(seen: Seen, picks: Sequence[Pick]) -> Found:
     else:
         best = fits.by_ranges(seen, trials, picks, bool(enough))
     return _posed(seen, best)
+
+
+def _less_fingers(seen: Seen, picks: Sequence[Pick], trials: list[Trial]) -> list[Trial]:
+    """Return the trials of arms before their fingers where these fit no worse: what was measured is on no finger.
+
+    The readings of a gripper that never moved show nothing, and those of one that did are not the tool's.
+    """
+    shorter = fits.trials(seen, without_fingers(seen, picks, by_name=True), ("m", "mm"), len(trials))
+    least = [min((trial.fit.share for trial in some), default=np.inf) for some in (shorter, trials)]
+    return shorter if least[0] <= least[1] * _NO_WORSE + _NO_SHARE else trials
 
 
 def _posed(seen: Seen, best: Trial) -> Found:
