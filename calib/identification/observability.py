@@ -22,6 +22,10 @@ from calib.identification.unseen_strains import unseen_strains
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
 
+# By how much, rms, every direction of a tool moves at its tip link, of its length, where the link turns by tens of
+# degrees about two directions.
+_TURNED = 0.3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observability:
@@ -143,6 +147,10 @@ def _unturned(problem: Problem) -> Iterator[Finding]:
     for k in sorted(held):
         rotations = np.concatenate([problem.model.robot.tips(d.readings[d.tool == k])[:, :3, :3] for d in sets])
         if not len(rotations):
+            continue
+        # Where it turns as it should, what does not show the tool is that the arm does not follow: "unexplained".
+        spread = (rotations - rotations.mean(axis=0)).reshape(-1, 3) / np.sqrt(len(rotations))
+        if np.linalg.svd(spread, compute_uv=False)[-1] > _TURNED:
             continue
         turned = np.linalg.norm(rigid.log3(np.swapaxes(rotations[:1], -1, -2) @ rotations), axis=1).max()
         whose = "" if len(tools) == 1 else f" {tools[k]!r}"

@@ -174,6 +174,8 @@ def _beyond_limits(m: Measurements, readings: Sequence[Reading]) -> Iterable[Fin
     turns = [_excess(m.readings + turn, readings) for turn in (-2.0 * np.pi, 0.0, 2.0 * np.pi)]
     turned = angles & (np.min(turns, axis=0).max(axis=0) <= slack)
     degrees = far & in_degrees & angles & ~turned
+    # As where a controller counts a joint the other way.
+    negated = many & (_excess(-m.readings, readings).max(axis=0) <= slack)
 
     def farthest(j: int) -> str:
         reading, row = readings[j], int(excess[:, j].argmax())
@@ -198,11 +200,15 @@ def _beyond_limits(m: Measurements, readings: Sequence[Reading]) -> Iterable[Fin
             + f" seem to be degrees, not [rad]{also}.",
         )
     for j in (int(j) for j in np.flatnonzero((beyond > slack) & ~degrees)):
+        said = "."
+        if turned[j]:
+            said = ", and all fit a whole turn away: take it off there."
+        elif negated[j]:
+            said = ", and all fit with the other sign: does it count the other way, or is this another joint's column?"
         yield Finding(
             "error" if beyond[j] > _BEYOND * largest[j] else "warning",
             "beyond-limits",
-            f"{farthest(j)}; {np.sum(excess[:, j] > slack[j])} of {len(m)} rows are beyond"
-            + (", and all fit a whole turn away: take it off there." if turned[j] else "."),
+            f"{farthest(j)}; {np.sum(excess[:, j] > slack[j])} of {len(m)} rows are beyond{said}",
         )
 
 

@@ -463,8 +463,16 @@ def joints_by_order(table: RawTable, count: int, known: Roles) -> list[Joints]:
     """Return families of ``count`` numbered columns; or, where there are none, all columns that nothing else is."""
     parts = [tokens(column.name) for column in table.columns]
     numeric = [k for k, column in enumerate(table.columns) if column.numbers is not None]
-    found, sizes = [], [len(family.columns) for family in _families(parts, numeric)]
-    for family in _families(parts, numeric):
+    found, families = [], list(_families(parts, numeric))
+    # What may be joints where four numbers called q are a quaternion: neither cells of a matrix, nor its last row.
+    told = {k for point in known.points for k in point.columns}
+    told |= {k for turned in known.orientations if turned.form != "quaternion" for k in turned.columns}
+    sizes = [
+        len(family.columns)
+        for family in families
+        if told.isdisjoint(family.columns) and any(changes(table, k) for k in family.columns)
+    ]
+    for family in families:
         if any(changes(table, k) for k in family.columns[count:]):  # else of axes that the arm does not have
             continue
         # Three numbers in a list may be a vector, or the joints of an arm that has three.

@@ -79,6 +79,15 @@ def test_a_tip_that_turns_is_not_remarked() -> None:
     assert rank_findings(calib.error_model(robot, offsets="all", placements="all"), [data]) == ()
 
 
+def test_rows_that_do_not_belong_together_do_not_make_a_tip_that_turns_look_still() -> None:
+    rng = np.random.default_rng(8)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    true = machines.Machine(arm.moved(rng), machines.anywhere(rng), {"tool": machines.pose((0.08, 0.02, 0.15))})
+    data = true.measure(robot, arm.draw(rng, 60), rng=rng, sigma=5e-5)
+    shifted = replace(data, position=np.roll(data.position, 1, axis=0))
+    assert rank_findings(calib.error_model(robot, offsets="all", placements="all"), [shifted]) == ()
+
+
 def test_narrower_priors_do_not_pull_the_tool_to_where_the_fit_is_clearly_worse() -> None:
     of = SCENARIOS["lines"](3000023)
     result = judge(of)

@@ -117,6 +117,19 @@ def test_readings_from_0_to_360_degrees_are_no_degrees() -> None:
     assert sentence.endswith(f"{below} of {N} rows are beyond, and all fit a whole turn away: take it off there.")
 
 
+def test_a_joint_that_counts_the_other_way_than_its_limits_allow() -> None:
+    readings = sound_readings()
+    readings[:, 1] *= -1.0
+    beyond = int(np.sum(readings[:, 1] > -0.1 + 1e-9))
+    [(severity, code, sentence)] = found(measurements(readings))
+    assert (severity, code) == ("error", "beyond-limits")
+    assert beyond > N // 2
+    assert sentence.endswith(
+        f"{beyond} of {N} rows are beyond, and all fit with the other sign: does it count the other way, or is this "
+        "another joint's column?"
+    )
+
+
 def test_radians_under_deg() -> None:
     u = np.random.default_rng(7).uniform(-1.0, 1.0, size=(N, 1))
     readings = np.hstack([u * 2.0, u - 1.5, u, 0.25 + 0.1 * u]) / DEGREES

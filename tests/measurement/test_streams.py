@@ -266,7 +266,8 @@ def test_bad_streams_are_refused_with_one_sentence(made: Streams) -> None:
     assert "is before that of the row above" in refused(made, seen, back)
     slow = dict(seen) | {"time [s]": 1e3 * seen["time [s]"]}
     assert refused(made, slow, joints).endswith(
-        "s apart or more; in a stream it is 0.0001 to 1 s: is the unit of 'time' right?"
+        "s apart or more; in a stream it is 0.0001 to 1 s: is the unit of 'time' right? Points at which the arm stood "
+        "still are no stream: give each its own row of the joints."
     )
     quick = dict(seen) | {"time [s]": 1e-3 * seen["time [s]"]}
     assert refused(made, quick, joints) == (

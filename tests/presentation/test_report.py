@@ -161,6 +161,14 @@ def test_a_check_is_said_in_words_beside_its_figure_and_a_terminal_has_the_figur
     assert on_pages.rows[0].cells[-1] == "The solver converged."
 
 
+def test_angles_of_a_base_are_said_to_be_no_whole_orientation(outcome: Calibration, report: Report) -> None:
+    said = "rx, ry and rz of a base, a tool or a target turn it from where the search began"
+    turned = np.max(np.abs([outcome.fit.value(f"base.{angle}") for angle in ("rx", "ry", "rz")]))
+    assert turned < 0.1 < np.arccos(0.5 * (np.trace(outcome.machine.base[:3, :3]) - 1.0))
+    assert said in render_page(report)
+    assert said in render_markdown(report)
+
+
 def test_correlations_are_of_the_parameters_that_are_seen(outcome: Calibration) -> None:
     section = correlations(outcome.fit)
     assert section is not None

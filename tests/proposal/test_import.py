@@ -253,7 +253,10 @@ def test_points_in_order_and_rows_that_do_not_fit(folder: Path) -> None:
         rows = [f"{0.1 * k:.2f},{0.5 * k + 0.25},2.5,3.5" for k in range(count)]
         (folder / file).write_text("\n".join([f"time [s],{file[0]}1,{file[0]}2,{file[0]}3", *rows, ""]))
     said = run("import", "readings.csv", "stream.csv", "-o", "b.csv")
-    assert said.err.endswith('and the joints are the readings, with clock = "free".\n')
+    assert said.err.endswith(
+        'and the joints are the readings, with clock = "free"; if it stood still at each point, keep one row of the '
+        "joints for each.\n"
+    )
     said = run("import", "joints.csv", "sa.txt", "-o", "b.csv", "--by", "Group")
     assert said.err.startswith("Error: joints.csv, sa.txt: 'Group' does not tell which rows belong together: ")
     said = run("import", "joints.csv", "sa.txt", "-o", "b.csv", "--by", "Point")
@@ -264,7 +267,10 @@ def test_points_in_order_and_rows_that_do_not_fit(folder: Path) -> None:
 def test_times_are_known_however_they_are_written(folder: Path) -> None:
     (folder / "q.csv").write_text("Time (s),q1_deg\n0.0,1.5\n0.01,2.5\n0.02,3.5\n")
     (folder / "p.csv").write_text("Time[s],X,Y,Z\n0.0,1.2,2.1,3.3\n0.01,2.2,3.1,4.3\n")
-    assert "as both have times, a job joins them" in run("import", "q.csv", "p.csv", "-o", "b.csv").err
+    assert (
+        "as both have times, a job joins them if the arm moved meanwhile"
+        in run("import", "q.csv", "p.csv", "-o", "b.csv").err
+    )
 
 
 def test_files_of_one_row_each_are_not_put_side_by_side(folder: Path) -> None:

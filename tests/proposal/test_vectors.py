@@ -20,6 +20,14 @@ _ARM = """<robot name="small"><link name="l0"/><link name="l1"/><link name="l2"/
 <axis xyz="0 1 0"/></joint><joint name="third" type="continuous"><parent link="l2"/><child link="l3"/>
 <origin xyz="0.4 0 0.1"/><axis xyz="1 0 0"/></joint></robot>"""
 
+_SCARA = """<robot name="scara"><link name="base"/><link name="upper"/><link name="fore"/><link name="quill"/>
+<link name="flange"/><joint name="first" type="continuous"><parent link="base"/><child link="upper"/>
+<origin xyz="0 0 0.3"/><axis xyz="0 0 1"/></joint><joint name="second" type="continuous"><parent link="upper"/>
+<child link="fore"/><origin xyz="0.35 0 0.05"/><axis xyz="0 0 1"/></joint><joint name="slide" type="prismatic">
+<parent link="fore"/><child link="quill"/><origin xyz="0.3 0 0"/><axis xyz="0 0 -1"/>
+<limit lower="0.01" upper="0.15" effort="1" velocity="1"/></joint><joint name="last" type="continuous">
+<parent link="quill"/><child link="flange"/><axis xyz="0 0 1"/></joint></robot>"""
+
 
 def poses() -> np.ndarray:
     """Return what an instrument saw, (40, 4, 4)."""
@@ -103,6 +111,33 @@ def test_lists_of_numbers_are_points_and_orientations(tmp_path: Path, name: str)
     assert (names["shoulder_pan_joint"], names["x"], found) == ("joint_pose_0", x, orientation)
     assert observes == ("pose" if first else "position")
     assert names.get({"matrix": "r11", None: "qw"}.get(orientation, "rx"), "") == first
+
+
+def test_four_readings_called_q_are_no_quaternion_beside_a_matrix(tmp_path: Path) -> None:
+    """The last row of a matrix is of four numbers as well, and none of joints."""
+    arm = tmp_path / "four.urdf"
+    fourth = '<joint name="fourth" type="continuous"><parent link="l3"/><child link="l4"/><origin xyz="0.2 0.1 0"/>'
+    arm.write_text(_ARM.replace("</robot>", f'<link name="l4"/>{fourth}<axis xyz="0 0 1"/></joint></robot>'))
+    s = session(str(arm), "l4")
+    T = np.tile(np.eye(4), (40, 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = s.rotation, s.position
+    observes, orientation, names = columns(
+        proposal(tmp_path, lambda k: {"q": s.readings[k].tolist(), "T": T[k].tolist()}, arm)
+    )
+    assert (observes, orientation) == ("pose", "matrix")
+    assert [names[joint] for joint in ("first", "second", "third", "fourth")] == ["q_0", "q_1", "q_2", "q_3"]
+
+
+def test_the_unit_of_a_short_slide_is_known_where_another_fits_far_worse(tmp_path: Path) -> None:
+    """A slide of 0.14 m that seems to stand still leaves less than a tenth of what an arm of 0.7 m moves."""
+    arm = tmp_path / "scara.urdf"
+    arm.write_text(_SCARA)
+    s = session(str(arm), "flange")
+    assert 0.1 < np.ptp(s.readings[:, 2]) < 0.15
+    found = proposal(tmp_path, lambda k: {"joints": s.readings[k].tolist(), "p": s.position[k].tolist()}, arm)
+    assert not found.questions, found.questions
+    (table,) = found.tables
+    assert [ours for ours, theirs in table.columns.names.items() if theirs == "joints_2"] == ["slide [m]"]
 
 
 def test_cells_of_a_matrix_by_columns_are_those_of_the_rotation(tmp_path: Path) -> None:

@@ -170,7 +170,8 @@ def readings_in(robot: Robot, columns: Sequence[RawColumn], angle: str, slide: s
 def decided(seen: Seen, trials: Sequence[Trial]) -> Trial:
     """Return the only trial that the arm follows, or the one that names prefer among those; or ask."""
     best = trials[0]
-    rivals = _apart([t for t in trials if t.fit.share < max(TIMES * best.fit.share, ALIKE)])
+    # The same columns in another unit fit as well by chance, or not: a short slide is a small share of the spread.
+    rivals = _apart([t for t in trials if t.fit.share < max(TIMES * best.fit.share, ALIKE * (t.pick != best.pick))])
     computed = _computed(seen, rivals)
     rivals = [t for t in rivals if t.point.columns not in computed]
     rivals = _of_the_same_joints(seen, _of_one_point(seen, rivals))

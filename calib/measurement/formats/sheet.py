@@ -240,8 +240,9 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
         refused = "no column tells which rows belong together"
         if _timed(first) and _timed(second):
             refused += (
-                "; as both have times, a job joins them: of a table of [[measurements]], the points are the file, and "
-                'the joints are the readings, with clock = "free"'
+                "; as both have times, a job joins them if the arm moved meanwhile: of a table of [[measurements]], "
+                'the points are the file, and the joints are the readings, with clock = "free"; if it stood still at '
+                "each point, keep one row of the joints for each"
             )
         return _in_order(first, second, refused)
     a, b = ways[0]

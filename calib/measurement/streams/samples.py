@@ -164,6 +164,8 @@ def refuse_no_stream(times: Array, where: str) -> None:
         said = f"half of its rows are {step:.4g} s apart or {than}; in a stream it is {FASTEST:g} to {SLOWEST:g} s"
         # Of an instrument that sends many samples at once, the times of arrival say little of when each was taken.
         asked = "is the unit of 'time' right?"
+        if step > SLOWEST:
+            asked += " Points at which the arm stood still are no stream: give each its own row of the joints."
         if step < FASTEST and float(steps.mean()) > max(_BURST * step, FASTEST):
             asked = "they come in bursts: are these the times at which they arrived, and not those of measurement?"
         raise MeasurementError(f"{where}: {said}: {asked}")

@@ -47,6 +47,13 @@ _DRAWN = (
     "joint's position, about z or along it."
 )
 
+# Kinds of parameters of which angles are those of a pose, and what these angles are counted from.
+_FRAMES = ("base", "tool", "target")
+_TURNED = (
+    "rx, ry and rz of a base, a tool or a target turn it from where the search began, and are not its whole "
+    "orientation: the poses are in result.json."
+)
+
 
 class _Errors(NamedTuple):
     """Error norms (N,) of one quantity over the tables ``sets`` that have it, in the unit ``shown``."""
@@ -281,11 +288,13 @@ def parameters(fit: Fit) -> Section:
         "A parameter that is identifiable only in combination has no sigma: other values of it fit the data as well "
         "if other parameters change with it. Weakly determined ones have a sigma above half their parameter scale."
     )
-    sentences = (said,) if fit.unidentifiable.any() or fit.weakly_determined.any() else ()
+    sentences = [said] if fit.unidentifiable.any() or fit.weakly_determined.any() else []
+    if any(p.kind in _FRAMES and p.name.endswith(_ANGLES) for p in fit.parameters):
+        sentences.insert(0, _TURNED)
     blocks: list[Block] = [sheets.parameter_sheet(fit)]
     if any(parameter.kind in ("placement", "offset") for parameter in fit.parameters):
         blocks.append(Picture("What the names mean", page_file("deviation.svg"), _DRAWN))
-    return Section("parameters", "Parameters", (*blocks, *([Prose(sentences)] if sentences else [])))
+    return Section("parameters", "Parameters", (*blocks, *([Prose(tuple(sentences))] if sentences else [])))
 
 
 def correlations(fit: Fit) -> Section | None:
