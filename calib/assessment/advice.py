@@ -31,7 +31,7 @@ Kind = Literal["null space", "weakly determined", "correlated"]
 _SHOWN = 0.05
 _MOST_ROWS = 200
 # Of all tables together, where there are many.
-_MOST_OF_ALL = 3000
+_MOST_OF_ALL = 1000
 # Of a set-up and a tool of a table, where a direction is tried at random readings.
 _FEWEST_ROWS = 10
 _CORRELATED = 0.95

@@ -17,7 +17,7 @@ doubt is four fifths as it would be if the errors were just of these functions, 
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -110,35 +110,36 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     ends = np.cumsum([0, *map(len, triangles)])
     data = np.concatenate(triangles)
     solved = _solved(parameters, related(problem, x, split), data, free)
-    from_data, left = solved.from_data, solved.left
+    from_data = solved.from_data
+
+    def as_one(coefficients: Array) -> Array:
+        # What the solution leaves when errors of those sizes are taken off as well.
+        found = np.append(coefficients, 1.0)
+        taken = np.concatenate([-from_data @ (data[:, p:] @ found), found])
+        return _rows_as_one(problem, systematic, split, levels, parts, taken)
 
     sized = _sized(waves, wind_up)
     drifts = m - of_readings.many
+    instrument = _instrument(problem, sigmas)[[one.component for one in levels]]
     taught = _Taught(
-        _by_level(left, ends, level, scale),
+        _by_level(data[:, p:] - solved.J @ (from_data @ data[:, p:]), ends, level, scale),
         np.array([max(one.freedom, 1.0) for one in levels]),
-        _instrument(problem, sigmas)[[one.component for one in levels]],
+        instrument,
         np.concatenate([sized, np.full(drifts, sized.max() + 1)]),
         drifts > 0,
     )
-    rows_as_one = np.ones(len(levels))
-    learned = taught.sizes(rows_as_one)
-    # What the solution leaves when errors of those sizes are taken off as well.
-    found = np.append(learned.coefficients, 1.0)
-    taken = np.concatenate([-from_data @ (data[:, p:] @ found), found])
-    counted = _rows_as_one(problem, systematic, split, levels, parts, taken)
-    if np.any(counted > 1.0):
-        rows_as_one = counted
-        learned = taught.sizes(rows_as_one)
+    learned, rows_as_one = _learned(taught, as_one)
+    del taught  # of many tables it takes much memory
     noise = learned.noise
 
     of_rows = np.diff(ends)
-    seen = np.repeat(np.minimum(taught.instrument[level] / (noise[level] * np.sqrt(scale)), 1.0), of_rows)
+    seen = np.repeat(np.minimum(instrument[level] / (noise[level] * np.sqrt(scale)), 1.0), of_rows)
     sigma = np.repeat((noise * np.sqrt(rows_as_one))[level] * np.sqrt(scale), of_rows)
     through = from_data * sigma
     hold = np.array([parameter.hold for parameter in parameters])
     z = x[split.common] / scales(parameters)
-    widths = likely_widths(parameters, solved.J / sigma[:, None], data[:, -1] / sigma, z)
+    weighed = triangle(np.column_stack([solved.J, data[:, -1]]) / sigma[:, None])
+    widths = likely_widths(parameters, weighed[:, :-1], weighed[:, -1], z)
     unseen = np.hstack([solved.from_relations, solved.from_priors * (hold * widths)])
     bias = from_data @ data[:, p : p + m]
     root = _short(learned.root[: of_readings.many])
@@ -315,11 +316,10 @@ def _solved_for(split: Split, rows: Collected) -> Reduced:
 class _Solved(NamedTuple):
     """How the solution (p) follows data, ``from_data`` (p, q), relations (p, l), and priors, ``from_priors`` (p, p).
 
-    ``J`` (q, p): of the data, as the solution sees it; ``left`` (q, m + 1): what it leaves of ``[B r]``.
+    ``J`` (q, p): of the data, as the solution sees it.
     """
 
     J: Array
-    left: Array
     from_data: Array
     from_relations: Array
     from_priors: Array
@@ -339,9 +339,7 @@ def _solved(parameters: Sequence[Parameter], relations: Array, data: Array, free
     follows = np.pad((Vt.T / np.maximum(s, ROUNDING * s[0])) @ U.T, ((0, p - free), (0, 0)))
     from_data, from_relations, from_priors = np.split(follows, [len(data), len(data) + len(between)], axis=1)
     held = np.vstack([from_data[:free] @ J[:, free:], -np.eye(p - free)]) / hold[free:]
-    return _Solved(
-        J, data[:, p:] - J @ (from_data @ data[:, p:]), from_data, from_relations, np.hstack([from_priors, held])
-    )
+    return _Solved(J, from_data, from_relations, np.hstack([from_priors, held]))
 
 
 def _instrument(problem: Problem, sigmas: tuple[Array, ...]) -> Array:
@@ -389,6 +387,17 @@ class _Taught(NamedTuple):
         doubt = scipy.linalg.solve_triangular(lower, np.eye(m), lower=True, trans=1)
         before = np.sqrt(1.0 - _BELIEVED) * np.diag(sizes[self.group])
         return _Learned(sizes[self.group], noise, found, np.column_stack([found, np.sqrt(_BELIEVED) * doubt, before]))
+
+
+def _learned(taught: _Taught, as_one: Callable[[Array], Array]) -> tuple[_Learned, Array]:
+    """Return what is learned, and how many rows of every component (c,) count as one.
+
+    ``as_one``: how many do by the autocorrelation of what coefficients (m,) leave.
+    """
+    rows_as_one = np.ones(len(taught.freedom))
+    learned = taught.sizes(rows_as_one)
+    counted = as_one(learned.coefficients)
+    return (taught.sizes(counted), counted) if np.any(counted > 1.0) else (learned, rows_as_one)
 
 
 def _sigmas(fit: Fit, problem: Problem) -> tuple[Array, ...]:
