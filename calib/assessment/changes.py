@@ -110,11 +110,21 @@ def _of_each(
     """
     for what, motions in things:
         within, known = besides(parts, motions, C)
-        for part, Z in zip(within, motions, strict=True):
-            (alone,), own = besides([part], [Z], known) if len(parts) > 1 else ((part,), known)
+        for whole, Z in zip(within, motions, strict=True):
+            part, C_own = _by_what_it_follows(whole, known)
+            (alone,), own = besides([part], [Z], C_own) if len(parts) > 1 else ((part,), C_own)
             one = of(what, alone, Z, own, len(things) * len(parts))
             if one is not None:
                 yield one
+
+
+def _by_what_it_follows(part: Stretch, C: Array) -> tuple[Stretch, Array]:
+    """Return a part by those parameters alone that its rows follow, and their covariance: by no bases of others."""
+    seen = np.any(part.J, axis=(0, 1))
+    if seen.all():
+        return part, C
+    columns = part.columns[seen[: len(part.columns)]]
+    return replace(part, J=part.J[:, :, seen], columns=columns), C[np.ix_(seen, seen)]
 
 
 def _things(parts: Sequence[Stretch]) -> list[tuple[str, list[Array]]]:
@@ -178,8 +188,9 @@ def _apart(
     what: str, whole: Stretch, Z: Array, rows: IntArray, parts: Sequence[Stretch], C: Array, things: int
 ) -> Step:
     """Return how surely ``rows`` of a part ask for a motion Z (n, d, k) that the other rows do not have."""
-    r, J = whole.r[rows], whole.J[rows]
-    part = replace(whole, r=r, J=J, used=float(np.sum((J @ C) * J)))
+    r = whole.r[rows]
+    part, C = _by_what_it_follows(replace(whole, r=r, J=whole.J[rows]), C)
+    part = replace(part, used=float(np.sum((part.J @ C) * part.J)))
     score, shift = score_of(Z[rows].reshape(r.size, -1), part, C)
     # Judged by what remains in these rows: their noise may have been estimated with the change in it.
     rest = r + shift

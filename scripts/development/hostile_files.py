@@ -653,6 +653,19 @@ def _crossed(folder: Path, size: int) -> None:
     _own_job(folder, "arm_cmm.urdf", "probe", _measured("identification.csv"))
 
 
+def _loaded(folder: Path, size: int) -> None:
+    """Measure a hundred tables in eighty set-ups, each under a load of its own, by an arm that gives way everywhere."""
+    robot = load_robot(_UR10, "tool0")
+    header, table = _seen_by_tracker(robot, size // 120)
+    tables = []
+    for k, rows in enumerate(np.array_split(table, 100)):
+        _table(folder / f"t{k}.csv", header, rows)
+        load = f'payload = {{ mass = "{1 + k / 10:.1f} kg", position = ["0 mm", "0 mm", "{10 + k} mm"] }}\n'
+        tables.append(_measured(f"t{k}.csv", f'setup = "s{k % 80}"\n{load}'))
+    terms = "".join(f'{key} = "all"\n' for key in ("gain", "elastic", "lateral", "bending", "torsion"))
+    _own_job(folder, _UR10, "tool0", terms, *tables)
+
+
 def _nowhere(folder: Path, size: int) -> None:
     """Measure points that no arm has reached, and let a loss seek those that agree."""
     _different((('sigma = "0.02 mm"', 'sigma = "0.02 mm"\nloss = "cauchy"'),))(folder, size)
@@ -1587,6 +1600,7 @@ HOSTILE: dict[str, Hostile] = {
     ),
     "a loss among noise": Hostile(_nowhere),
     "bearings and torques": Hostile(_giving_way),
+    "loads of many set-ups": Hostile(_loaded),
     "a process of many rows": _rows(lambda _: "", "", (("[error_model]", _PROCESS),)),
     "a process of noise": Hostile(_different((("[error_model]", _PROCESS),))),
     "verified by a process": Hostile(_verified, ("verify", _RESULTS, "new.csv")),
