@@ -20,6 +20,8 @@ from calib.identification.parameters import TOOL
 
 _MOST_STEPS = 100
 _STEP_TOLERANCE = 1e-11
+# After so many steps, what lowers a cost by less than this share creeps along a valley that shows no rotation.
+_MANY_STEPS, _HARDLY_LOWER = 20, 1e-5
 _NEGLIGIBLE = 1e-10
 # A tool has hardly a part in a unit direction.
 _HARDLY = 0.1
@@ -236,7 +238,7 @@ def _best_rotation(X: Array, c: Array) -> Array:
     r = residual(A)
     cost = (r * r).sum(axis=1)
     damping = np.full(len(A), 1e-3)
-    for _ in range(_MOST_STEPS):
+    for done in range(_MOST_STEPS):
         # d vec(A exp(w)) = vec(A [w]x)
         J = np.swapaxes(A[:, None] @ basis, -1, -2).reshape(len(A), 3, 9) @ X.T
         H = J @ np.swapaxes(J, -1, -2)
@@ -253,9 +255,11 @@ def _best_rotation(X: Array, c: Array) -> Array:
         cost_trial = (r_trial * r_trial).sum(axis=1)
         better = cost_trial < cost
         A, r = np.where(better[:, None, None], trial, A), np.where(better[:, None], r_trial, r)
-        cost = np.where(better, cost_trial, cost)
+        gain, cost = cost - cost_trial, np.where(better, cost_trial, cost)
         damping = np.where(better, np.maximum(0.1 * damping, 1e-12), 10.0 * damping)
-        leading = cost <= 1.01 * cost.min()
-        if np.max(np.where(better & leading, np.linalg.norm(step, axis=1), 0.0)) < _STEP_TOLERANCE:
+        leading = better & (cost <= 1.01 * cost.min())
+        if np.max(np.where(leading, np.linalg.norm(step, axis=1), 0.0)) < _STEP_TOLERANCE:
+            break
+        if done >= _MANY_STEPS and not np.any(leading & (gain > _HARDLY_LOWER * cost)):
             break
     return rigid.nearest_rotation(A[np.argmin(cost)])
