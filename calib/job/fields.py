@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, PlainValidator
 from calib.foundations.errors import JobError
 from calib.foundations.ranges import COUNTS, MOST_NAMES, RANGES
 from calib.foundations.units import Dimension, example_of, parse_quantity, symbols
-from calib.foundations.words import shortened
+from calib.foundations.words import on_one_line, shortened
 from calib.measurement.lens import NAMES
 from calib.measurement.orientations import ORIENTATIONS
 from calib.robot.terms.kind import Option
@@ -201,7 +201,7 @@ def _is_share(value: object) -> bool:
 
 
 def _is_one_line(text: object) -> bool:
-    return isinstance(text, str) and bool(text.strip()) and text.isprintable() and len(text) <= _MOST_WORDS
+    return isinstance(text, str) and bool(text.strip()) and on_one_line(text) == text and len(text) <= _MOST_WORDS
 
 
 def _date(day: object) -> str:

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from calib.foundations.arguments import checked
 from calib.foundations.brief import brief
-from calib.foundations.words import first_of
+from calib.foundations.words import first_of, on_one_line
 from calib.job.toml_text import seen_from, toml_text
 from calib.measurement.kinds import Kind
 from calib.measurement.table import Columns
@@ -86,7 +86,7 @@ class Proposal:
         """Return the job file, with paths relative to the ``folder`` in which it will be; None: as they were given."""
         robot = self.robot
         lines = ["schema = 1", ""]
-        lines += [f"# {reason}" for reason in map(_on_one_line, self.reasons)]
+        lines += [f"# {reason}" for reason in map(on_one_line, self.reasons)]
         lines += ["", "[robot]", f"urdf = {_named(self.urdf, folder)}", f"tip = {toml_text(robot.tip)}"]
         if robot.base != robot.urdf.root:
             lines.append(f"base = {toml_text(robot.base)}")
@@ -129,7 +129,3 @@ def table_lines(columns: Columns) -> list[str]:
 
 def _named(path: str, folder: Path | None) -> str:
     return toml_text(path if folder is None else seen_from(folder, path))
-
-
-def _on_one_line(text: str) -> str:
-    return "".join(letter if letter.isprintable() else "?" for letter in text)

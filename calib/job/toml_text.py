@@ -5,12 +5,12 @@ import os
 from pathlib import Path
 
 from calib.foundations.errors import JobError
-from calib.foundations.words import shown
+from calib.foundations.words import on_one_line, shown
 from calib.robot.sources import EXAMPLE
 
 
 def toml_text(text: str) -> str:
-    """Return a text as a TOML string, whole: it is read again. JSON's differs in one character alone.
+    """Return a text as a TOML string, whole: it is read again. JSON's has no escapes for some characters.
 
     Raises JobError for what is no text, as the bytes of a file's name may be.
     """
@@ -18,7 +18,8 @@ def toml_text(text: str) -> str:
         text.encode()
     except UnicodeEncodeError as e:
         raise JobError(f"{shown(text)}: is not UTF-8 text, and no job can name it; rename it.") from e
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    whole = json.dumps(text, ensure_ascii=False)
+    return "".join(c if on_one_line(c) == c else f"\\u{ord(c):04x}" for c in whole)
 
 
 def seen_from(folder: Path, path: str | Path) -> str:

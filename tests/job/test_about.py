@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from calib.job.schema import AboutSection
 from tests.support.cases import JOB, copy_case, run
 
 
@@ -27,6 +28,11 @@ def test_the_report_repeats_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert told == {"date": "2025-03-31", "serial": "24-10-7", "operator": None, "note": "after <the> change"}
 
 
+@pytest.mark.parametrize("name", ["佐藤\u3000太郎", "می\u200cرود", "M.\u00a0Dupont", "\U0001f469\u200d\U0001f527"])
+def test_names_may_have_wide_spaces_and_joiners_as_japanese_and_persian_ones_do(name: str) -> None:
+    assert AboutSection.model_validate({"operator": name}).operator == name
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -35,6 +41,9 @@ def test_the_report_repeats_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         ("serial = 7", "about.serial: 7 is not one line of text of at most 500 characters."),
         (f'note = "{501 * "a"}"', "is not one line of text of at most 500 characters."),
         (r'note = "a\nb"', "is not one line of text of at most 500 characters."),
+        (r'note = "a\u2028b"', "is not one line of text of at most 500 characters."),
+        (r'note = "a\u001b[2Jb"', "is not one line of text of at most 500 characters."),
+        (r'note = "a\u202eb"', "is not one line of text of at most 500 characters."),
         ('operator = " "', "about.operator: ' ' is not one line of text of at most 500 characters."),
     ],
 )

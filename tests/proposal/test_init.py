@@ -1,6 +1,7 @@
 """``calib init``, and ``calib check`` of files before there is a job."""
 
 import json
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -103,6 +104,23 @@ def test_a_job_finds_its_files_behind_links_and_whatever_they_are_called(
     put(folder, "FANUC", table)
     assert run("init", urdf, table, "-o", job, "--yes", "-q") == (0, "", "")
     assert run("check", job, "-q") == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("測定\u3000１.csv", "測定\u3000１.csv"),
+        ("اندازه\u200cها.csv", "اندازه\u200cها.csv"),
+        ("v\x9b2J\u202e\u2028.csv", "v\\x9b2J\\u202e\\u2028.csv"),
+    ],
+)
+def test_a_job_names_files_as_they_are_called_and_commands_nothing(folder: Path, name: str, shown: str) -> None:
+    put(folder, "FANUC", name)
+    assert run("init", UR10, name, "--yes", "-q") == (0, "", "")
+    text = (folder / "calibration.toml").read_text(encoding="utf-8")
+    assert f"# {shown}: " in text
+    assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u202e]", text)
+    assert tomllib.loads(text)["measurements"][0]["file"] == name
 
 
 def test_a_file_whose_name_is_no_text_is_told(folder: Path) -> None:
