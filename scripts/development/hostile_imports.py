@@ -252,6 +252,11 @@ IMPORTED: dict[str, tuple[str, Fill, tuple[str, ...]]] = {
         _matlab(lambda size: b"".join(_packed(_matrix(f"a{k}", 4000, 1, bytes(32_000))) for k in range(size // 1000))),
         (),
     ),
+    "variables of MATLAB 4": (
+        "a.mat",
+        lambda size: b"".join(struct.pack("<5i", 50, 1, 1, 0, 6) + b"%05d\0\1" % k for k in range(size // 27)),
+        (),
+    ),
     "elements of MATLAB": ("a.mat", _matlab(lambda size: struct.pack("<II", 15, 0) * (size // 8)), ()),
     "zeros of MATLAB": ("a.mat", _matlab(lambda size: _packed(bytes(min(190 * size, 190_000_000)))), ()),
     "rows of a workbook": (

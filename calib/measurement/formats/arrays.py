@@ -91,7 +91,8 @@ def from_mat(data: bytes, where: str) -> Rows:
             held = scipy.io.whosmat(file := cast(Any, io.BytesIO(data)))
             names = list(dict.fromkeys(name for name, *_ in held))
             plain = [name for name, _, kind in held if kind in _OF_NUMBERS]
-            if sum(math.prod(shape) for name, shape, _ in held if name in plain) > _MOST_VALUES:
+            numbers = frozenset(plain)
+            if sum(math.prod(shape) for name, shape, _ in held if name in numbers) > _MOST_VALUES:
                 raise MeasurementError(f"{where}: has more than {_MOST_VALUES} values.")
             read = scipy.io.loadmat(file, variable_names=plain) if plain else {}
     except MeasurementError:
