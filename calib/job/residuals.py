@@ -14,6 +14,7 @@ from calib.assessment.validation import row_groups
 from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import MM
+from calib.foundations.words import listed
 from calib.identification.fit import Fit
 from calib.identification.identify import residuals_of
 from calib.job.inputs import Inputs
@@ -99,9 +100,20 @@ def _tools(data: Measurements) -> set[str]:
 
 
 def moved_nodes(inputs: Inputs, fit: Fit) -> Iterable[Finding]:
-    """Yield which nodes ask for a base of their own: a residual model takes that motion for errors of the arm."""
+    """Yield which nodes ask for a base of their own: a residual model takes that motion for errors of the arm.
+
+    And that neighbours in a grid were measured in several set-ups, of which each has what its own base errs by.
+    """
     if not inputs.nodes:
         return
+    setups, section = sorted(set().union(*map(_setups, inputs.nodes))), inputs.job.levels[-1].residual_model
+    if len(setups) > 1 and section is not None and section.kind == "grid":
+        yield Finding.warning(
+            "nodes-of-several-setups",
+            f"The nodes of the grid were measured in the set-ups {listed(setups, 6)}: what "
+            "the base of each errs by is taken for errors of the arm, and the uncertainty does not hold; measure all "
+            "nodes in one set-up.",
+        )
     before, after = (residuals_of(fit, inputs.nodes, of) for of in (fit.nominal, fit.machine))
     rows = zip(inputs.tables("nodes"), inputs.nodes, before, after, strict=True)
     for one in tables_with_own_base(fit.model, machine_of(fit), [JudgedSet("validation", *table) for table in rows]):

@@ -52,6 +52,7 @@ COUNTED = (
     "not-held-out",
     "copied-rows",
     "nodes-moved",
+    "nodes-of-several-setups",
     "prior-contradicted",
     "stated-contradicted",
 )
