@@ -55,6 +55,8 @@ _OFF_ZERO = 0.5
 # Errors of a robot are not quite of the functions that stand for them, so that residuals tell less of coefficients than
 # they seem to: of two variances of a coefficient, after and before the residuals are seen, so much is of the former.
 _BELIEVED = 0.8
+# So many times as many columns as parameters are made short at once.
+_AT_ONCE = 4
 # Longest lag of it, in rows.
 _LONGEST_LAG = 100
 
@@ -148,9 +150,9 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     return ErrorsByCause(
         parameters,
         at,
-        _short(np.hstack([through * seen, bias[:, of_readings.many :] * learned.sizes[of_readings.many :]])),
+        _short(through * seen, bias[:, of_readings.many :] * learned.sizes[of_readings.many :]),
         _short(unseen),
-        _short(np.hstack([through * np.sqrt(1.0 - seen**2), off[:, None]])),
+        _short(through * np.sqrt(1.0 - seen**2), off[:, None]),
         bias[:, : of_readings.many] @ root,
         LeftOut(waves, wind_up, read_only(root)),
         *_by_component(levels, noise),
@@ -466,6 +468,11 @@ def _rows_as_one(
     return np.array(found)
 
 
-def _short(columns: Array) -> Array:
-    """Return as few columns with the same covariance."""
-    return triangle(columns.T).T
+def _short(*several: Array) -> Array:
+    """Return as few columns with the same covariance as ``several`` (p, k) have together, gone through bit by bit."""
+    rows = [columns.T for columns in several]
+    found, many = np.empty((0, rows[0].shape[1])), _AT_ONCE * rows[0].shape[1]
+    for some in rows:
+        for start in range(0, len(some), many):
+            found = triangle(np.concatenate([found, some[start : start + many]]))
+    return found.T
