@@ -471,7 +471,7 @@ def _rows_as_one(
 def _short(*several: Array) -> Array:
     """Return as few columns with the same covariance as ``several`` (p, k) have together, gone through bit by bit."""
     rows = [columns.T for columns in several]
-    found, many = np.empty((0, rows[0].shape[1])), _AT_ONCE * rows[0].shape[1]
+    found, many = np.empty((0, rows[0].shape[1])), _AT_ONCE * max(rows[0].shape[1], 1)
     for some in rows:
         for start in range(0, len(some), many):
             found = triangle(np.concatenate([found, some[start : start + many]]))
