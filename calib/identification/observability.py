@@ -145,23 +145,27 @@ def _unturned(problem: Problem) -> Iterator[Finding]:
     layout = Layout.of(problem.model.robot, problem.reference)
     held = {layout.frame_of(q)[0] for q in problem.parameters if q.weak_prior == UNSHOWN_TOOL_WIDTH}
     for k in sorted(held):
-        rotations = np.concatenate([problem.model.robot.tips(d.readings[d.tool == k])[:, :3, :3] for d in sets])
-        if not len(rotations):
+        tips = np.concatenate([problem.model.robot.tips(d.readings[d.tool == k])[:, :3, :3] for d in sets])
+        setup = np.concatenate([d.setup[d.tool == k] for d in sets])
+        if not len(tips):
             continue
+        # How it turns from one set-up to another shows nothing, as each has a base of its own.
+        parts = [tips[setup == one] for one in np.unique(setup)]
         # Where it turns as it should, what does not show the tool is that the arm does not follow: "unexplained".
-        spread = (rotations - rotations.mean(axis=0)).reshape(-1, 3) / np.sqrt(len(rotations))
+        spread = np.concatenate([R - R.mean(axis=0) for R in parts]).reshape(-1, 3) / np.sqrt(len(tips))
         if np.linalg.svd(spread, compute_uv=False)[-1] > _TURNED:
             continue
-        turned = np.linalg.norm(rigid.log3(np.swapaxes(rotations[:1], -1, -2) @ rotations), axis=1).max()
+        turned = max(float(np.linalg.norm(rigid.log3(np.swapaxes(R[:1], -1, -2) @ R), axis=1).max()) for R in parts)
+        within = "" if len(parts) == 1 else " within a set-up"
         whose = "" if len(tools) == 1 else f" {tools[k]!r}"
         yield Finding(
             "warning",
             "tool-unseen",
-            f"With the tool{whose} the tip link turns by {turned / DEG:.3g} deg at most, or about one direction "
-            "only. The data then do not tell an error of the tool point from one of the base or of the joints, so the "
-            "tool point is held near its start value unless they clearly ask for another. Positions at such "
-            "orientations are predicted well, others are not. To determine the tool point, add poses that turn the tip "
-            'link by tens of degrees about two directions, or give the tool (tool = "fixed").',
+            f"With the tool{whose} the tip link turns by {turned / DEG:.3g} deg at most{within}, or about one "
+            "direction only. The data then do not tell an error of the tool point from one of the base or of the "
+            "joints, so the tool point is held near its start value unless they clearly ask for another. Positions at "
+            "such orientations are predicted well, others are not. To determine the tool point, add poses that turn "
+            'the tip link by tens of degrees about two directions, or give the tool (tool = "fixed").',
         )
 
 

@@ -464,13 +464,15 @@ def joints_by_order(table: RawTable, count: int, known: Roles) -> list[Joints]:
     parts = [tokens(column.name) for column in table.columns]
     numeric = [k for k, column in enumerate(table.columns) if column.numbers is not None]
     found, families = [], list(_families(parts, numeric))
-    # What may be joints where four numbers called q are a quaternion: neither cells of a matrix, nor its last row.
+    # What may be joints where four numbers called q are a quaternion: no velocities, no cells or last row of a matrix.
     told = {k for point in known.points for k in point.columns}
     told |= {k for turned in known.orientations if turned.form != "quaternion" for k in turned.columns}
     sizes = [
         len(family.columns)
         for family in families
-        if told.isdisjoint(family.columns) and any(changes(table, k) for k in family.columns)
+        if told.isdisjoint(family.columns)
+        and not (family.words & _NO_POSITION or family.is_pose)
+        and any(changes(table, k) for k in family.columns)
     ]
     for family in families:
         if any(changes(table, k) for k in family.columns[count:]):  # else of axes that the arm does not have

@@ -88,6 +88,20 @@ def test_rows_that_do_not_belong_together_do_not_make_a_tip_that_turns_look_stil
     assert rank_findings(calib.error_model(robot, offsets="all", placements="all"), [shifted]) == ()
 
 
+def test_orientations_that_differ_from_set_up_to_set_up_alone_do_not_show_the_tool() -> None:
+    rng = np.random.default_rng(7)
+    robot, arm = machines.load(*UR10), machines.arm(*UR10)
+    moved, data = arm.moved(rng), []
+    begins = ((0.3, -1.2, 1.6, -0.9, -1.2, 0.4), (0.3, -1.2, 1.6, -2.2, -0.2, 1.4), (-0.5, -1.0, 1.2, 0.6, 1.5, -1.9))
+    for k, begin in enumerate((*begins, (0.5, -1.5, 1.9, -0.2, -2.4, 2.6))):
+        true = machines.Machine(moved, machines.anywhere(rng), {"tool": machines.pose((0.08, 0.02, 0.15))})
+        seen = true.measure(robot, at_one_orientation(robot, np.array(begin), 40, rng, 0.0), rng=rng, sigma=5e-5)
+        data.append(replace(seen, setups=tuple("abcd"), setup=np.full(len(seen), k)))
+    (found,) = rank_findings(calib.error_model(robot, offsets="all", placements="all"), data)
+    assert found.code == "tool-unseen"
+    assert "deg at most within a set-up, or about one direction only." in found.sentence
+
+
 def test_narrower_priors_do_not_pull_the_tool_to_where_the_fit_is_clearly_worse() -> None:
     of = SCENARIOS["lines"](3000023)
     result = judge(of)

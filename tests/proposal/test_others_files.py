@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 import calib
 from calib.foundations.arrays import Array
 from calib.measurement.formats.sheet import read_sheet
+from calib.robot.sources import resolve
 from tests.support.cases import run
-from tests.support.people import UR10, session, text
+from tests.support.people import UR10, quaternions, session, text
 
 JOINTS = [f"J{k}" for k in range(1, 7)]
 
@@ -287,6 +288,23 @@ def test_a_gripper_that_the_log_has_as_well_is_no_joint_of_the_arm(folder: Path,
     assert found.robot is not None
     assert [reading.name for reading in found.robot.readings] == joints
     assert found.tables[0].columns.ignore == tuple(fingers)
+
+
+@pytest.mark.parametrize("posed", [False, True])
+def test_a_last_joint_that_is_called_like_a_gripper_is_one_of_the_arm(folder: Path, posed: bool) -> None:
+    """A point on its axis, as of a flange, moves with it as without it: only the orientation would tell."""
+    document = resolve(UR10).read_text(encoding="utf-8").replace("wrist_3_joint", "gripper_yaw")
+    (folder / "arm.urdf").write_text(document)
+    seen = session(UR10)
+    on_axis = seen.flange[:, :3, 3] + 1e-3 * np.random.default_rng(3).standard_normal((40, 3))
+    columns = [seen.readings, 1e3 * on_axis, *([quaternions(seen.flange[:, :3, :3], "xyzw")] if posed else [])]
+    joints = [joint.name for joint in calib.load_robot("arm.urdf", "tool0").readings]
+    titles = [*(f"{joint} [rad]" for joint in joints), "x [mm]", "y [mm]", "z [mm]"]
+    (folder / "measured.csv").write_text(text([*titles, *(["qx", "qy", "qz", "qw"] if posed else [])], columns))
+    found = calib.measuring.propose("arm.urdf", ["measured.csv"])
+    assert found.robot is not None
+    assert [reading.name for reading in found.robot.readings] == joints
+    assert found.tables[0].observes == ("pose" if posed else "position")
 
 
 def test_a_gripper_in_percent_is_no_joint_of_the_arm(folder: Path) -> None:

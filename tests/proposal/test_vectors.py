@@ -113,11 +113,16 @@ def test_lists_of_numbers_are_points_and_orientations(tmp_path: Path, name: str)
     assert names.get({"matrix": "r11", None: "qw"}.get(orientation, "rx"), "") == first
 
 
-def test_four_readings_called_q_are_no_quaternion_beside_a_matrix(tmp_path: Path) -> None:
-    """The last row of a matrix is of four numbers as well, and none of joints."""
-    arm = tmp_path / "four.urdf"
+def _of_four_joints(folder: Path) -> Path:
+    arm = folder / "four.urdf"
     fourth = '<joint name="fourth" type="continuous"><parent link="l3"/><child link="l4"/><origin xyz="0.2 0.1 0"/>'
     arm.write_text(_ARM.replace("</robot>", f'<link name="l4"/>{fourth}<axis xyz="0 0 1"/></joint></robot>'))
+    return arm
+
+
+def test_four_readings_called_q_are_no_quaternion_beside_a_matrix(tmp_path: Path) -> None:
+    """The last row of a matrix is of four numbers as well, and none of joints."""
+    arm = _of_four_joints(tmp_path)
     s = session(str(arm), "l4")
     T = np.tile(np.eye(4), (40, 1, 1))
     T[:, :3, :3], T[:, :3, 3] = s.rotation, s.position
@@ -125,6 +130,19 @@ def test_four_readings_called_q_are_no_quaternion_beside_a_matrix(tmp_path: Path
         proposal(tmp_path, lambda k: {"q": s.readings[k].tolist(), "T": T[k].tolist()}, arm)
     )
     assert (observes, orientation) == ("pose", "matrix")
+    assert [names[joint] for joint in ("first", "second", "third", "fourth")] == ["q_0", "q_1", "q_2", "q_3"]
+
+
+@pytest.mark.parametrize("besides", ["dq", "tau"])
+def test_four_readings_called_q_are_no_quaternion_beside_velocities_or_torques(tmp_path: Path, besides: str) -> None:
+    arm = _of_four_joints(tmp_path)
+    s = session(str(arm), "l4")
+
+    def record(k: int) -> dict[str, Any]:
+        return {"q": s.readings[k].tolist(), besides: s.readings[-1 - k].tolist(), "position": s.position[k].tolist()}
+
+    observes, _, names = columns(proposal(tmp_path, record, arm))
+    assert observes == "position"
     assert [names[joint] for joint in ("first", "second", "third", "fourth")] == ["q_0", "q_1", "q_2", "q_3"]
 
 

@@ -19,7 +19,7 @@ from calib.job.foreign.turns import inverse_question, orientation_of
 from calib.measurement.kinds import Kind
 from calib.measurement.orientations import ANGLES, MATRIX, ORIENTATIONS
 from calib.measurement.raw import RawColumn, RawTable, split_title
-from calib.measurement.roles import SPREADS, TORQUES, tokens
+from calib.measurement.roles import SPREADS, TORQUES, changes, tokens
 from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TORQUE, Columns
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
@@ -74,11 +74,22 @@ def _positions(seen: Seen, picks: Sequence[Pick]) -> Found:
 def _less_fingers(seen: Seen, picks: Sequence[Pick], trials: list[Trial]) -> list[Trial]:
     """Return the trials of arms before their fingers where these fit no worse: what was measured is on no finger.
 
-    The readings of a gripper that never moved show nothing, and those of one that did are not the tool's.
+    The readings of a gripper that never moved show nothing, and those of one that did are not the tool's. A point on
+    the axis of a joint that turned says nothing of that joint: there it must fit clearly better without.
     """
     shorter = fits.trials(seen, without_fingers(seen, picks, by_name=True), ("m", "mm"), len(trials))
-    least = [min((trial.fit.share for trial in some), default=np.inf) for some in (shorter, trials)]
-    return shorter if least[0] <= least[1] * _NO_WORSE + _NO_SHARE else trials
+    if not shorter:
+        return trials
+    less, whole = (min(some, key=lambda trial: trial.fit.share) for some in (shorter, trials))
+    if _turned(seen, whole.pick) - _turned(seen, less.pick):
+        return shorter if less.fit.share + _NO_SHARE <= whole.fit.share / fits.TIMES else trials
+    return shorter if less.fit.share <= whole.fit.share * _NO_WORSE + _NO_SHARE else trials
+
+
+def _turned(seen: Seen, pick: Pick) -> set[str]:
+    """Return the joints of a pick that turn, and did."""
+    joints = zip(pick.arm.joints, pick.joints.columns, strict=True)
+    return {name for name, k in joints if seen.document.joint(name).type != "prismatic" and changes(seen.raw, k)}
 
 
 def _posed(seen: Seen, best: Trial) -> Found:
