@@ -107,7 +107,8 @@ def moved_nodes(inputs: Inputs, fit: Fit) -> Iterable[Finding]:
     if not inputs.nodes:
         return
     setups, section = sorted(set().union(*map(_setups, inputs.nodes))), inputs.job.levels[-1].residual_model
-    if len(setups) > 1 and section is not None and section.kind == "grid":
+    sought = any(parameter.kind == "base" for parameter in fit.parameters)
+    if len(setups) > 1 and sought and section is not None and section.kind == "grid":
         yield Finding.warning(
             "nodes-of-several-setups",
             f"The nodes of the grid were measured in the set-ups {listed(setups, 6)}: what "
