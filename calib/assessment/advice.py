@@ -30,7 +30,7 @@ Kind = Literal["null space", "weakly determined", "correlated"]
 # them one by one. Shares of a direction are told to a hundredth, and those of identifiable parameters stay below 0.02.
 _SHOWN = 0.05
 _MOST_ROWS = 200
-# Of all tables together, where there are many.
+# Of all tables together, but for a few of each.
 _MOST_OF_ALL = 1000
 # Of a set-up and a tool of a table, where a direction is tried at random readings.
 _FEWEST_ROWS = 10

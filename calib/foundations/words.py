@@ -11,6 +11,7 @@ LONGEST_SHOWN = 60
 _TURNING = {code: f"\\u{code:04x}" for code in (*range(0x202A, 0x202F), *range(0x2066, 0x206A))}
 # Controls, but for tabs and line ends: a terminal obeys those that begin with ESC or CSI.
 _CONTROLS = {code: f"\\x{code:02x}" for code in (*range(0x20), *range(0x7F, 0xA0)) if chr(code) not in "\t\n"}
+_COMMANDING = _TURNING | _CONTROLS
 _LINE_ENDS = {9: "\\t", 10: "\\n", 0x2028: "\\u2028", 0x2029: "\\u2029"}
 # Likeness takes time with the square of the length, and is asked of every known word.
 _LONGEST_COMPARED = 100
@@ -91,8 +92,8 @@ def apart(text: str) -> str:
 
 
 def harmless(text: str) -> str:
-    """Return a file to be looked at with an escape for what turns round the words after it, or commands a terminal."""
-    return text.translate(_TURNING | _CONTROLS)
+    """Return text to be looked at with an escape for what turns round the words after it, or commands a terminal."""
+    return text.translate(_COMMANDING)
 
 
 def on_one_line(text: str) -> str:
