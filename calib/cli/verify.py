@@ -85,10 +85,11 @@ def verify(
                 columns=columns,
             ).named(tool=tool, setup=setup)
         except HeaderError as e:
-            if {"u", "v"} <= set(read_sheet(measurements).names):
+            names = set(read_sheet(measurements).names)
+            if beyond := "pixels of photographs" if {"u", "v"} <= names else _touched_by(results, names):
                 raise MeasurementError(
-                    f"{measurements}: pixels of photographs are not verified; name this table in a [[measurements]] of "
-                    'the job, with use = "validate", and calibrate again: the report tells its errors apart.'
+                    f"{measurements}: {beyond} are not verified; name this table in a [[measurements]] of the job, "
+                    'with use = "validate", and calibrate again: the report tells its errors apart.'
                 ) from e
             if not e.unitless:
                 raise
@@ -115,6 +116,16 @@ def verify(
     )
     if not found.passed:
         raise typer.Exit(NOT_TRUSTED)
+
+
+def _touched_by(results: Path, names: set[str]) -> str | None:
+    """Return what rows of a table with columns ``names`` are, where one of the job's arms measured them; else None."""
+    with loading():
+        from calib.foundations.words import shown
+        from calib.job.columns import arms_of_results
+
+    arms = [] if {"x", "y", "z"} & names else arms_of_results(results)
+    return f"rows that {' or '.join(map(shown, arms))} touched" if arms else None
 
 
 def _at_the_tip_of(machine: "CalibratedMachine", table: "Table") -> "CalibratedMachine":

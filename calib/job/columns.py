@@ -31,10 +31,17 @@ class _Table(BaseModel):
     orientation: str | None
 
 
+class _Instrument(BaseModel):
+    model_config = ConfigDict(frozen=True)
+
+    kind: str
+
+
 class _Job(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     measurements: tuple[_Table, ...]
+    instruments: dict[str, _Instrument] = {}
     run: str | None = None
 
 
@@ -56,7 +63,8 @@ def columns_of_results(folder: Path, observes: Kind) -> Columns:
     Positions are read as those of its poses were, where it has no others. A folder that was written from Python has no
     job: tables are read as they are written. Raises OutputError when the job is not readable.
     """
-    tables = _tables_of(folder)
+    job = _job_of(folder)
+    tables = () if job is None else job.measurements
     alike = [table for table in tables if table.observes == observes]
     if not alike and observes == "position":
         alike = [table for table in tables if table.observes == "pose"]
@@ -65,7 +73,8 @@ def columns_of_results(folder: Path, observes: Kind) -> Columns:
 
 def not_new(folder: Path, measurements: Path) -> list[str]:
     """Return what is to be said of a table, the same byte for byte, that a folder's machine was identified from."""
-    fitted = [table.file for table in _tables_of(folder) if table.use == "identify"]
+    job = _job_of(folder)
+    fitted = [] if job is None else [table.file for table in job.measurements if table.use == "identify"]
     if not fitted or not os.path.lexists(folder / RESULT_FILE):
         return []
     inputs, own = read_result(folder).inputs, sha256(read_bytes(measurements, MeasurementError))
@@ -74,15 +83,21 @@ def not_new(folder: Path, measurements: Path) -> list[str]:
     return [f"{measurements}: the machine was identified from this table; what was fitted verifies nothing."]
 
 
-def _tables_of(folder: Path) -> tuple[_Table, ...]:
+def arms_of_results(folder: Path) -> list[str]:
+    """Return the names of the arms that measured for a folder of results."""
+    job = _job_of(folder)
+    return [] if job is None else [name for name, instrument in job.instruments.items() if instrument.kind == "arm"]
+
+
+def _job_of(folder: Path) -> _Job | None:
     path = folder / JOB_FILE
     with reading_folder(folder):
         if not path.exists():
-            return ()
+            return None
         source = read_bytes(path, OutputError, LARGEST_JSON)
         try:
             job = _Job.model_validate_json(source)
         except ValidationError as e:
             raise OutputError(f"{path}: is not a job of this tool.") from e
         refuse_other_run(path, job.run)
-    return job.measurements
+    return job

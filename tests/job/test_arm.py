@@ -232,3 +232,7 @@ def test_job_is_written_out_and_results_do_not_replace_the_arm(folder: Path) -> 
     assert job["instruments"]["welder"]["pivot"] == "pivot.csv"
     result = json.loads((folder.parent / "out" / "result.json").read_text(encoding="utf-8"))
     assert {"pivot.csv", "welder.urdf"} <= set(result["inputs"])
+    table = job["measurements"][0]["file"]
+    said = run("verify", "../out", table)
+    assert (said.code, said.out) == (1, "")
+    assert f"{table}: rows that 'welder' touched are not verified; name this table" in said.err
