@@ -12,7 +12,7 @@ from calib.assessment.design import Design, DesignRows, Space
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.brief import brief
-from calib.foundations.choices import Criterion
+from calib.foundations.choices import MOST_CHOSEN, Criterion
 from calib.foundations.errors import JobError
 from calib.foundations.linear import one_thread
 from calib.foundations.ranges import refuse_beyond
@@ -100,9 +100,10 @@ def plan(
     m: also find how many poses keep the forecast error below it. ``progress`` is told how many of how many designs are
     made: the sequence that they begin with, and one for every number of poses that is forecast.
 
-    Raises JobError when there are fewer candidates than ``count``, or when they determine nothing; RobotError for
-    candidates, measured or working poses that are no readings.
+    Raises JobError when ``count`` is not from 1 to 1000, when there are fewer candidates, or when they determine
+    nothing; RobotError for candidates, measured or working poses that are no readings.
     """
+    refuse_count(count)
     how = measurement or PlannedMeasurement()
     if isinstance(candidates, int):
         candidates = random_candidates(model.urdf_robot, how.frames, candidates).readings
@@ -125,6 +126,12 @@ def plan(
         )
 
 
+def refuse_count(count: int) -> None:
+    """Raise JobError where a plan cannot be of so many poses."""
+    if not 1 <= count <= MOST_CHOSEN:
+        raise JobError(f"{count} poses cannot be chosen; allowed are 1 to {MOST_CHOSEN}.")
+
+
 def _refuse_few(count: int, candidates: Array) -> None:
     if count > len(candidates):
         raise JobError(f"{count} poses cannot be chosen from {len(candidates)} candidates.")
@@ -143,10 +150,10 @@ def planned(
 ) -> Plan:
     """Return the plan of candidates (N, nr) whose rows, and those of what is measured already, are known.
 
-    Raises JobError when there are fewer candidates than ``count``, or when they determine nothing.
+    Raises JobError when ``count`` is not from 1 to 1000, when there are fewer candidates, or when they determine
+    nothing.
     """
-    if count < 1:
-        raise JobError(f"{count} poses cannot be chosen; it takes one or more.")
+    refuse_count(count)
     if target is not None:
         refuse_beyond(target, "sigma", "target")
     _refuse_few(count, candidates)

@@ -244,7 +244,8 @@ def plan_views(
         planned = calib.planning.plan_views(views, 12, candidates=calib.planning.view_candidates(views).readings)
 
     ``candidates`` (N, nr); ``working`` (M, nr): where the camera, or the board, must be well placed; the candidates
-    when None. ``target`` in m, as in :func:`calib.plan`. Raises JobError where candidates are fewer than ``count``.
+    when None. ``target`` in m, as in :func:`calib.plan`. Raises JobError where ``count`` is not from 1
+    to 1000, or candidates are fewer.
     """
     with one_thread():
         return planned(

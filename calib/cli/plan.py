@@ -54,6 +54,7 @@ def plan(
     with loading():
         from calib.assessment.candidates import PlannedMeasurement, possible, random_candidates
         from calib.assessment.planning import plan as plan_of
+        from calib.assessment.planning import refuse_count
         from calib.cli import plan_inputs as given
         from calib.foundations import rigid
         from calib.foundations.files import refuse_taken, write_new
@@ -73,6 +74,7 @@ def plan(
     of_tables = {"--tracker": tracker, "--measured": measured, "--tip": tip, "--tool": tool != _TOOL}
     _refuse_idle(observes, of_tables, of_sight, of_noise)
     refuse_taken(out)
+    refuse_count(count)
     roots = mesh_folders(mesh_root)
     if observes == "pixels":
         given.plan_photographs(

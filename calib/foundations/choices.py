@@ -21,5 +21,7 @@ Target = Literal["ur", "offsets", "dh", "ros", "xacro"]
 MOST_POSES = 1_000_000
 # Of candidates, of each of which some copies of all its derivatives are kept: a gigabyte for an arm of six joints.
 MOST_CANDIDATES = 100_000
+# Of poses that a plan chooses one after the other, each looked at beside all that are left.
+MOST_CHOSEN = 1000
 # Parts that rows are held out in, one after the other.
 FOLDS = 10

@@ -122,6 +122,17 @@ def test_measured_poses_are_completed() -> None:
     assert {f.poses: f.chosen for f in more.forecasts}[20] < at_20[20]
 
 
+@pytest.mark.parametrize("count", [0, -3, 1001, 10**12])
+def test_how_many_poses_a_plan_may_have(tmp_path: Path, count: int) -> None:
+    said = rf"^{count} poses cannot be chosen; allowed are 1 to 1000\.$"
+    with pytest.raises(JobError, match=said):
+        planned(count)
+    out = tmp_path / "poses.csv"
+    found = run("plan", CASE / "calibration.toml", "-n", count, "--candidates", "100000", "-o", out)
+    assert (found.code, out.exists()) == (1, False)
+    assert re.search(said, found.err.removeprefix("Error: "), re.MULTILINE)
+
+
 def test_too_few_candidates() -> None:
     with pytest.raises(JobError, match="151 poses cannot be chosen from 150 candidates"):
         planned(151)
