@@ -237,7 +237,8 @@ def grid_from_residuals(
     ``joints``: names, out of ``robot_readings``, of those that the grid spans; the others must stand still. The rows,
     in any order, must hold every combination once. The nodes of a joint are evenly spaced unless ``axes`` names them
     in rad or m. ``partial``: nodes may be missing, and a cell is used where all its corners are there. ``where``:
-    all rows stand, or each of N, as "nodes.csv:12", for messages.
+    all rows stand, or each of N, as "nodes.csv:12", for messages. Measure all nodes in one set-up: what an identified
+    base errs by is in all errors measured from it, and neighbours of several would differ by that.
 
     Raises JobError when an option cannot be used, and MeasurementError naming the first row that is not on the grid or
     appears twice, the first node that is missing, or the joint that moves and is not one of the grid's.
