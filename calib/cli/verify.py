@@ -15,6 +15,12 @@ if TYPE_CHECKING:
     from calib.machine.calibrated import CalibratedMachine
     from calib.measurement.table import Table
 
+# Tables of which no positions can be read, by columns that they have.
+_NOT_VERIFIED = (
+    ("pixels of photographs", {"u", "v"}),
+    ("touches of targets", {"target"}),
+    ("lengths of pairs", {"pair"}),
+)
 # Of columns that may be passed over, as many are named.
 _LISTED = 4
 
@@ -85,9 +91,11 @@ def verify(
                 columns=columns,
             ).named(tool=tool, setup=setup)
         except HeaderError as e:
-            if {"u", "v"} <= set(read_sheet(measurements).names):
+            names = set(read_sheet(measurements).names)
+            what = next((what for what, own in _NOT_VERIFIED if own <= names and not names & {"x", "y", "z"}), "")
+            if what:
                 raise MeasurementError(
-                    f"{measurements}: pixels of photographs are not verified; name this table in a [[measurements]] of "
+                    f"{measurements}: {what} are not verified; name this table in a [[measurements]] of "
                     'the job, with use = "validate", and calibrate again: the report tells its errors apart.'
                 ) from e
             if not e.unitless:
