@@ -217,6 +217,24 @@ def test_wishes_of_compensate_without_effect_are_told(folder: Path) -> None:
     assert json.loads(run("compensate", "out", "targets.csv", "-o", "again.csv", "--json").out)["notes"] == []
 
 
+def test_names_of_targets_and_touches_that_are_not_verified(folder: Path) -> None:
+    """A column of names was told to have a unit, and a table of touches to have x, y, z."""
+    assert run("calibrate", JOB, "-o", "out", "-q").code == 0
+    lines = (folder / "validation.csv").read_text(encoding="utf-8").splitlines()
+    joints = [line.rsplit(",", 3)[0] for line in lines if not line.startswith("#")][:4]
+    for title in ("name", "group", "target"):
+        rows = [f"{cells},{title if k == 0 else f'P {k}'}" for k, cells in enumerate(joints)]
+        (folder / f"{title}.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    said = run("compensate", "out", "name.csv", "-o", "sent.csv")
+    assert said.code == 1
+    assert said.err.endswith("like 'name [mm]' or '[deg]'; names of targets belong in the column 'group'.\n")
+    assert run("compensate", "out", "group.csv", "-o", "sent.csv").code == 0
+    assert ",P 1," in (folder / "sent.csv").read_text(encoding="utf-8")
+    said = run("verify", "out", "target.csv")
+    assert said.code == 1
+    assert said.err.startswith("Error: target.csv: touches of targets are not verified; name this table in a [[mea")
+
+
 def test_in_order_tells_rows_of_which_no_side_is_known(folder: Path) -> None:
     """An arm that rests at its first pose lost those rows in silence when it was verified."""
     order = tuple((f'file = "{name}"\n', f'file = "{name}"\nin_order = true\n') for name in (TABLE, "validation.csv"))

@@ -40,20 +40,31 @@ def compensate(
     """
     with loading():
         from calib.compensation import targets as targets_of
+        from calib.foundations.errors import MeasurementError
         from calib.foundations.files import refuse_taken, write_new
         from calib.foundations.words import counted
         from calib.machine.identified import outside_identified
         from calib.machine.model_file import load_machine
+        from calib.measurement.table import HeaderError
         from calib.presentation.console import warning
         from calib.results.result_file import doubts_of
     refuse_taken(out)
     with telling.progress(steps=2) as say:
         say("reading the model and the targets")
         model = load_machine(results)
-        wanted = targets_of.read_targets(targets, model, tool, in_order=in_order)
+        try:
+            wanted = targets_of.read_targets(targets, model, tool, in_order=in_order)
+        except HeaderError as e:
+            if not e.unitless:
+                raise
+            raise MeasurementError(f"{str(e).removesuffix('.')}; names of targets belong in the column 'group'.") from e
         matters = targets_of.of_set_up(model, wanted, frame=frame)
         model = model.standing(setup, str(results)) if matters else model.at(setup)
-        idle = (*doubts_of(results), *targets_of.idle(model, wanted, frame=frame, clamp=clamp))
+        idle = (
+            *doubts_of(results),
+            *targets_of.not_placed(model, wanted, frame=frame),
+            *targets_of.idle(model, wanted, frame=frame, clamp=clamp),
+        )
         say("correcting")
         found = targets_of.corrections(model, wanted, what=what, frame=frame, clamp=clamp)
         write_new(out, targets_of.corrected_csv(model, wanted, found))

@@ -15,6 +15,12 @@ if TYPE_CHECKING:
     from calib.machine.calibrated import CalibratedMachine
     from calib.measurement.table import Table
 
+# Tables of which no positions can be read, by columns that they have.
+_NOT_VERIFIED = (
+    ("pixels of photographs", {"u", "v"}),
+    ("touches of targets", {"target"}),
+    ("lengths of pairs", {"pair"}),
+)
 # Of columns that may be passed over, as many are named.
 _LISTED = 4
 
@@ -86,7 +92,7 @@ def verify(
             ).named(tool=tool, setup=setup)
         except HeaderError as e:
             names = set(read_sheet(measurements).names)
-            if beyond := "pixels of photographs" if {"u", "v"} <= names else _touched_by(results, names):
+            if beyond := _not_positions(results, names):
                 raise MeasurementError(
                     f"{measurements}: {beyond} are not verified; name this table in a [[measurements]] of the job, "
                     'with use = "validate", and calibrate again: the report tells its errors apart.'
@@ -118,13 +124,17 @@ def verify(
         raise typer.Exit(NOT_TRUSTED)
 
 
-def _touched_by(results: Path, names: set[str]) -> str | None:
-    """Return what rows of a table with columns ``names`` are, where one of the job's arms measured them; else None."""
+def _not_positions(results: Path, names: set[str]) -> str | None:
+    """Return what a table with columns ``names`` has in the place of positions; None where nothing tells it."""
     with loading():
         from calib.foundations.words import shown
         from calib.job.columns import arms_of_results
-
-    arms = [] if {"x", "y", "z"} & names else arms_of_results(results)
+    if names & {"x", "y", "z"}:
+        return None
+    for what, own in _NOT_VERIFIED:
+        if own <= names:
+            return what
+    arms = arms_of_results(results)
     return f"rows that {' or '.join(map(shown, arms))} touched" if arms else None
 
 

@@ -17,9 +17,11 @@ from calib.foundations.brief import brief
 from calib.foundations.choices import PoseFrame, What
 from calib.foundations.csv_text import csv_cell, csv_text
 from calib.foundations.errors import MeasurementError
+from calib.foundations.linear import svd
 from calib.foundations.sealing import sealed
 from calib.foundations.units import MM, MRAD, UNITS, Dimension, Unit
 from calib.foundations.words import not_calibrated, refuse_other
+from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.columns import filled, orientations, stacked
 from calib.measurement.conditions import conditions, sided_columns
@@ -30,6 +32,9 @@ from calib.robot.transmission import lacking
 
 # Numbers of a pose.
 _OF_A_POSE = 6
+# In m, for deviations of one millimetre and milliradian: a tool point that the null space moves by more on its link has
+# no place in the base link, as the height of a tool that turned about the vertical alone. Of others it is a millimetre.
+_NOT_PLACED = 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,6 +200,30 @@ def idle(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame, clamp: 
         said.append("The machine has no residual model: --clamp has no effect.")
     if wanted.conditions.ordered and not sided(model.robot):
         said.append("The machine has no joint term that asks for sides of approach: --in-order has no effect.")
+    return tuple(said)
+
+
+def not_placed(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame) -> tuple[str, ...]:
+    """Return what is to be said of tools whose targets are in the base link, where data leave open where the tool is.
+
+    The base then took up what the tool's place may be off, so that in the instrument's frame predictions hold.
+    """
+    if wanted.poses is None or frame != "base" or model.uncertainty is None:
+        return ()
+    layout, basis, said = model.layout, model.uncertainty.null_basis, []
+    _, small, Vt = svd(basis[: layout.base] / DEFAULT_SIGMA)
+    least = Vt.T / np.maximum(small, DEFAULT_SIGMA**2)
+    for k, name in enumerate(model.tools):
+        first = layout.tools + _OF_A_POSE * k
+        axes, far, _ = svd(basis[first : first + 3] @ least)
+        if name in wanted.tools and far.max(initial=0.0) > _NOT_PLACED:
+            along = np.round(axes[:, 0] * np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0]), 2) + 0.0
+            listed = ", ".join(f"{x:g}" for x in along)
+            said.append(
+                f"What was measured does not tell where {name!r} is on its link along ({listed}): by what it is off "
+                'there, targets in the base link are missed. State the tool in the job (tool = "fixed") and calibrate '
+                "again, or give targets in the instrument's frame (--frame instrument)."
+            )
     return tuple(said)
 
 

@@ -5,7 +5,7 @@ import itertools
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import pytest
@@ -873,3 +873,31 @@ def test_a_joint_that_follows_others_beyond_its_limits_is_told() -> None:
     limits = "deg is beyond its limits, -11.45916 deg and 11.45916 deg; it follows others"
     assert found.reasons[1].startswith("level at -2")
     assert found.reasons[1].endswith(limits)
+
+
+@pytest.mark.parametrize(
+    ("name", "tool", "frame", "said"),
+    [
+        ("scara", "position", "base", True),
+        ("scara", "position", "instrument", False),
+        ("scara", "fixed", "base", False),
+        ("ur10", "position", "base", False),
+    ],
+)
+def test_targets_in_the_base_link_of_a_tool_whose_height_nothing_told(
+    name: str, tool: Literal["position", "fixed"], frame: PoseFrame, said: bool
+) -> None:
+    """A palletizer found its tool 0.25 m higher on the flange, its base lower; corrected positions were as far off."""
+    urdf, tip = {**ARMS, "scara": (machines.INLINE["scara"], "tip")}[name]
+    robot, rng = machines.load(urdf, tip), np.random.default_rng(3)
+    made = machines.arm(urdf, tip).moved(rng)
+    true = machines.Machine(made, machines.anywhere(rng), {"tool": machines.pose((0.05, 0.03, 0.25))})
+    data = true.measure(robot, made.draw(rng, 40), rng=rng, sigma=3e-5)
+    known = calib.Known(tools={"tool": true.tools["tool"]}) if tool == "fixed" else calib.Known()
+    model = calib.error_model(robot, offsets="all", placements="all", tool=tool, known=known)
+    machine = calib.machine_of(calib.identify(model, data))
+    aims = {f"{axis} [m]": [x, x] for axis, x in zip("xyz", (0.4, 0.2, 0.3), strict=True)}
+    wanted = targets.targets(table_from_arrays(aims), machine)
+    notes = targets.not_placed(machine, wanted, frame=frame)
+    assert len(notes) == said
+    assert all("where 'tool' is on its link along (0, 0, 1)" in note for note in notes)

@@ -6,6 +6,8 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from inspect import isfunction
+from types import ModuleType
 from typing import get_args
 
 import numpy as np
@@ -29,6 +31,7 @@ DESCRIBED = {
     for page in (ROOT / "docs" / "api").glob("*.md")
     for name in DIRECTIVE.findall(page.read_text(encoding="utf-8"))
 }
+MEMBERS = re.compile(r"\.\. automodule:: ([\w.]+)\n   :members:(.*)")
 KEY = re.compile(r"\w+")
 VERSION = re.compile(r"\d+\.\d+\.\d+(\.dev\d+|(a|b|rc)\d+)?")
 
@@ -40,6 +43,17 @@ def test_every_public_name_is_in_the_reference() -> None:
         name for name, thing in zip(calib.__all__, objects, strict=True) if not any(thing is d for d in described)
     ]
     assert not missing
+
+
+@pytest.mark.parametrize("module", [calib.commands, calib.judging, calib.measuring, calib.planning, calib.positioner])
+def test_every_function_of_a_public_module_is_in_the_reference(module: ModuleType) -> None:
+    described = [resolved(name) for name in DESCRIBED]
+    for page in (ROOT / "docs" / "api").glob("*.md"):
+        for name, listed in MEMBERS.findall(page.read_text(encoding="utf-8")):
+            home = resolved(name)
+            described += [getattr(home, member) for member in listed.replace(",", " ").split() or dir(home)]
+    functions = [name for name in module.__all__ if isfunction(getattr(module, name))]
+    assert not [name for name in functions if not any(getattr(module, name) is thing for thing in described)]
 
 
 def resolved(name: str) -> object:

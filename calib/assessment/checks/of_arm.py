@@ -42,6 +42,8 @@ LEAST_SCALED, MOST_SCALED, MOST_LINK = 1e-3, 3e-3, 0.1
 PLAUSIBLE = 10.0
 # Kinds of which a row tells a length that may be far shorter than the arm.
 SHORT = ("sphere", "pair_distance")
+# Of the six numbers of a deviation so many are shifts; the rest are turns.
+_AXES = 3
 # In m: a tool point from its link, the base from the instrument.
 FAR_BASE = 100.0
 # Warnings about the input that count.
@@ -99,9 +101,9 @@ def lengths(fit: Fit, of_all: CommonScale) -> Check:
     A common scale is sought in what the deviations do to the tool, other parameters taking up what they can: where
     neighbouring joints move the tool alike, it says nothing how a length is shared between them.
     """
-    numbers = {joint.name: k for k, joint in enumerate(fit.robot.chain)}
     _, moved = _of_links(fit)
-    free = {numbers[fit.parameters[p].name.rpartition(".")[0]] for p in np.flatnonzero(moved).tolist()}
+    owner = range(len(fit.robot.chain)) if fit.model.dh is None else fit.model.dh.owner
+    free = {owner[k] for p in np.flatnonzero(moved).tolist() for k, _, _ in _shifts(fit.parameters[p])}
     worst, link = _most_wrong(fit, sorted(free))
     scale, sigma, moves, alike = of_all
     most = LINK if alike < ALIKE and abs(scale) > SCALE else SCALE
@@ -145,17 +147,22 @@ def as_by_scale(fit: Fit, of_all: CommonScale) -> tuple[str, ...]:
 
 def _of_links(fit: Fit) -> tuple[Array, BoolArray]:
     """Return by how much every parameter (p,) makes links longer by their own length, and which are such lengths."""
-    numbers = {joint.name: k for k, joint in enumerate(fit.robot.chain)}
+    chain = fit.model.robot.chain
     scaled = np.zeros(len(fit.parameters))
     moved = np.zeros(len(fit.parameters), dtype=np.bool_)
     for p, parameter in enumerate(fit.parameters):
-        joint, _, component = parameter.name.rpartition(".")
-        if parameter.kind == "placement" and component in ("tx", "ty", "tz") and joint in numbers:
-            T = np.asarray(fit.robot.chain[numbers[joint]].placement)
-            # A deviation is in the joint's own frame.
-            scaled[p] = (T[:3, :3].T @ T[:3, 3])["xyz".index(component[1])]
+        for k, axis, by in _shifts(parameter):
+            T = np.asarray(chain[k].placement)
+            # A deviation is in the joint's own frame. A DH number is one of several of them, in fixed shares.
+            scaled[p] += by * (T[:3, :3].T @ T[:3, 3])[axis]
             moved[p] = True
     return scaled, moved
+
+
+def _shifts(parameter: Parameter) -> list[tuple[int, int, float]]:
+    """Return which links' lengths a parameter changes: joint of the model's robot, axis, and by how much per unit."""
+    entries = parameter.entries if parameter.kind == "placement" else ()
+    return [(entry // 6, entry % 6, by) for entry, by in entries if entry % 6 < _AXES]
 
 
 def _most_wrong(fit: Fit, joints: Sequence[int]) -> tuple[float, str]:
