@@ -154,10 +154,10 @@ def _by_library(data: bytes, suffix: str, otherwise: Rgb) -> list[Triangles]:
             warnings.simplefilter("ignore")
             data = without_pictures(data) if suffix == ".glb" else data
             scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=None, process=False)
-            # COLLADA states its unit, and ROS viewers obey it.
+            # COLLADA states its unit, and ROS viewers obey it. The places of its nodes are in that unit as well.
             unit = 1.0 if scene.units is None else trimesh.units.unit_conversion(scene.units, "meters")
             return [
-                moved(_triangles(scene.geometry[name], otherwise), T @ np.diag([unit, unit, unit, 1.0]))
+                moved(_triangles(scene.geometry[name], otherwise), np.diag([unit, unit, unit, 1.0]) @ T)
                 for T, name in map(scene.graph.get, scene.graph.nodes_geometry)
                 if isinstance(scene.geometry[name], trimesh.Trimesh)
             ]

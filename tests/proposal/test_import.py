@@ -10,7 +10,7 @@ import time
 import zipfile
 import zlib
 from collections.abc import Callable
-from functools import partial
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
@@ -1181,3 +1181,24 @@ def test_rows_of_a_workbook_that_do_not_follow_each_other_are_refused(folder: Pa
             )
     with pytest.raises(calib.MeasurementError, match=f"^a.xlsx: {says}"):
         read_sheet("a.xlsx")
+
+
+def test_the_cells_of_many_files_are_looked_at_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each file is joined to all before it: 2000 of them, 420 kB in all, took 12 s of processor time."""
+    looked: list[str] = []
+    original = sheet_.is_number
+
+    def is_number(cell: str, decimal: str) -> bool:
+        looked.append(cell)
+        return original(cell, decimal)
+
+    sheets = []
+    for k in range(30):
+        rows = "".join(f"P{j}, {j}\n" for j in range(20))
+        (folder / f"{k}.csv").write_text(f"name, a{k}\n{rows}", encoding="utf-8")
+        sheets.append(read_sheet(folder / f"{k}.csv"))
+    sheet_._name.cache_clear()
+    monkeypatch.setattr(sheet_, "is_number", is_number)
+    whole = reduce(joined, sheets)
+    assert (len(whole.rows), len(whole.titles)) == (20, 31)
+    assert sorted(looked) == sorted({cell for row in sheets[0].rows for cell in row})

@@ -242,3 +242,15 @@ def test_a_collada_with_places_that_are_no_numbers_is_refused() -> None:
         assert (len(part.faces), len(part.vertices)) == (2, 4)
     for last in ("inf", "-INF", "nan", "1e39", "1e400", "none"):
         assert parse_mesh(_DAE.format(places + last, "0 0 1").encode(), ".dae", GREY) is None
+
+
+@pytest.mark.parametrize(
+    "node", ["<translate>100 0 0</translate>", "<matrix>1 0 0 100 0 1 0 0 0 0 1 0 0 0 0 1</matrix>"]
+)
+def test_the_places_of_the_nodes_of_a_collada_are_in_its_unit(node: str) -> None:
+    """A part that its node puts 100 mm away stood 100 m away: the corners alone were taken to metres."""
+    text = _DAE.format("0 0 0 1 0 0 1 1 0 0 1 0", "0 0 1").replace("<node>", f"<node>{node}")
+    text = text.replace("<asset>", '<asset><unit name="millimeter" meter="0.001"/>')
+    (part,) = parse_mesh(text.encode(), ".dae", GREY).parts  # type: ignore[union-attr]
+    np.testing.assert_allclose(part.vertices.min(axis=0), [0.1, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(part.vertices.max(axis=0), [0.101, 0.001, 0.0], atol=1e-12)

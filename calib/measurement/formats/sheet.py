@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 from calib.foundations.csv_text import csv_text
@@ -23,6 +24,8 @@ _MOST_VALUES = 5_000_000
 # Columns that may name rows: no sheet names its rows so often. Each is compared with each of another sheet, name by
 # name, so that of many names there are fewer.
 _MOST_NAMING, _FEWEST_NAMING, _MOST_NAMES = 100, 3, 1_000_000
+# Where many files are joined, the columns of all before are looked at again for each.
+_MOST_REMEMBERED = 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,6 +364,7 @@ def _naming(sheet: Sheet, by: str | None) -> dict[int, dict[str, int]]:
     return found
 
 
+@lru_cache(_MOST_REMEMBERED)
 def _name(cell: str) -> str:
     """Return a cell as a name: 7 and 7.0 are one, 7.25 is none."""
     if is_number(cell, ","):
