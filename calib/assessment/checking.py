@@ -30,7 +30,7 @@ def check(model: ErrorModel, measurements: Measurements | Sequence[Measurements]
 def looks_wrong(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Finding, ...]:
     """Return what looks wrong with measurements, and nothing of what they cannot show."""
     robot = model.urdf_robot
-    of_tables = tuple(finding for data in sets for finding in check_table(data, robot.readings, robot.reach))
+    of_tables = tuple(finding for data in sets for finding in check_table(data, robot.readings, data.reach(robot)))
     return _and((*of_tables, *copied_tables(sets)), lambda: signatures(model, sets))
 
 

@@ -182,7 +182,7 @@ def _by_frame(machine: CalibratedMachine, data: Measurements, what: Anew) -> Ite
 
 def _shown(machine: CalibratedMachine, data: Measurements, what: Anew) -> float:
     """Return how well rows see the motion of the frames that they see least, to the one that they see best."""
-    units = np.repeat([1.0, machine.robot.reach], 3)
+    units = np.repeat([1.0, data.reach(machine.robot)], 3)
     columns = [columns / units[: columns.shape[2]] for _, columns in _by_frame(machine, data, what)]
     values = np.linalg.svd(triangle(np.concatenate(columns, axis=2).reshape(data.sigma.size, -1)), compute_uv=False)
     return float(values[-1] / values[0])

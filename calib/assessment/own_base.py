@@ -68,7 +68,7 @@ def tables_with_own_base(
 ) -> tuple[OwnBase, ...]:
     """Return the tables that ask for a base of their own, one entry for each."""
     placed = [one for one in sets if one.data.position is not None]
-    reach = model.robot.reach
+    reach = max((one.data.reach(model.robot) for one in placed), default=0.0)
     found = [
         *own_bases(((one.file, one.data.position, one.after[:, :3], _unsure(machine, one)) for one in placed), reach),
         *far_apart(model, ((one.file, one.data, one.before[:, :3]) for one in placed)),
@@ -83,14 +83,14 @@ def far_apart(model: ErrorModel, tables: Iterable[tuple[str, Measurements, Array
     """
     for file, data, residuals in tables:
         error = float(np.sqrt(3.0 * np.mean(residuals**2)))
-        if data.position is None or len(data) < _ENOUGH or error < _FAR * model.robot.reach:
+        if data.position is None or len(data) < _ENOUGH or error < _FAR * data.reach(model.robot):
             continue
         free = replace(model.within([data]), base="pose", setups={}, targets={}, relations=())
         (alone,) = with_common_names(free, [data.at_readings().with_own_names()])
         problem = Problem(free, (), initial_frames(free, [alone]), (alone,))
         moved = float(np.sqrt(3.0 * np.mean(problem.residuals(np.zeros(0))[0][:, :3] ** 2)))
         if moved < _NEAR * error:
-            yield OwnBase(file, error, moved, _wide(data.position, model.robot.reach))
+            yield OwnBase(file, error, moved, _wide(data.position, data.reach(model.robot)))
 
 
 def _unsure(machine: CalibratedMachine, one: JudgedSet) -> Callable[[Array], float]:

@@ -104,7 +104,7 @@ def verify(
                 f"{str(e).removesuffix('.')}; or pass over what is not needed: {passed_over}."
             ) from e
         # Else a wrong unit would be told as an arm that has changed.
-        refuse_findings(table_findings(data, machine.robot.readings, machine.robot.reach))
+        refuse_findings(table_findings(data, machine.robot.readings, data.reach(machine.robot)))
         left_out = [finding.sentence for finding in unreached(data, sided(machine.robot.terms))]
         doubts = [*doubts_of(results), *not_new(results, measurements)]
         say("judging")

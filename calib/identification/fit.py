@@ -27,7 +27,7 @@ from calib.identification.not_seen import AlongNullSpace
 from calib.identification.parameters import Parameter, scales
 from calib.identification.repeats import Repeats
 from calib.identification.together import Together, variances_of
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, reach_of
 from calib.robot.robot import Deviations, Robot
 
 # Of more parameters a matrix tells nobody anything.
@@ -125,6 +125,11 @@ class Fit:
     def robot(self) -> Robot:
         """The robot in the frames of its URDF; with :attr:`deviations` it is the calibrated one."""
         return self.model.urdf_robot
+
+    @property
+    def reach(self) -> float:
+        """Upper bound in m of how far the tip was from the base in what was measured."""
+        return reach_of(self.model.robot, self.measurements)
 
     @property
     def deviations(self) -> Deviations:

@@ -23,7 +23,7 @@ from calib.identification.parameters import ParameterKind, scales
 from calib.identification.relations import related_targets
 from calib.identification.system import Problem
 from calib.measurement.kinds import Kind
-from calib.measurement.measurements import numbered
+from calib.measurement.measurements import numbered, reach_of
 
 _LENGTHS: tuple[Kind, ...] = ("distance", "sphere")
 # Both places are possible where the sums of squares differ by less than four standard deviations, squared; and they are
@@ -94,7 +94,7 @@ def behind(problem: Problem, x: Array) -> Array | None:
         asked -= _related(problem) if kind == "target" else set()
         there = {number: frame for number, frame in _reflected(rows, kind, at).items() if number in asked}
         if kind == "tool":
-            far = max(FAR_TOOL, problem.model.robot.reach)
+            far = max(FAR_TOOL, reach_of(problem.model.robot, problem.measurements))
             there = {number: frame for number, frame in there.items() if np.linalg.norm(frame[:3, 3]) <= far}
         found = x.copy()
         for k, number, component in free:

@@ -13,7 +13,7 @@ from calib.identification.initialisation.base_and_tools import TipObservations, 
 from calib.identification.initialisation.cameras import every_image, sights
 from calib.identification.initialisation.lenses import with_found_lenses
 from calib.measurement.instruments import CameraPlace
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, reach_of
 
 # How many photographs at most may stray, as a share, and how many at least must agree.
 _MOST_STRAY, _LEAST_AGREEING = 0.34, 6
@@ -97,7 +97,7 @@ def strays(model: ErrorModel, sets: Sequence[Measurements]) -> Strays | None:
     n, tools = len(every.tips), len(sets[0].tools)
     if n < 2 * _LEAST_AGREEING:
         return None
-    rng, reach = np.random.default_rng(0), model.robot.reach
+    rng, reach = np.random.default_rng(0), reach_of(model.robot, sets)
     kept = min(
         (rng.permutation(n)[: _TRIED * tools] for _ in range(_TRIALS)),
         key=lambda rows: float(np.median(_far(*poses_off(every, rows, tools), reach))),

@@ -36,7 +36,7 @@ from calib.identification.photographed_poses import Strays, poses_seen, strays
 from calib.identification.system import Problem, evaluate
 from calib.measurement.checks import Finding
 from calib.measurement.instruments import CameraPlace
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, reach_of
 from calib.robot.robot import Reading
 
 # Ordinary joint offsets: their standard deviation, and how many of these at most. Allowing for them is what makes the
@@ -174,7 +174,7 @@ def apart(model: ErrorModel, measurements: Sequence[Measurements]) -> Apart | No
         if len(seen) < 2 or len(seen) < len(measurements):
             return None
         sets = tuple(_spread_rows(data, seen) for data in with_common_names(model, seen))
-        missed, reach = _miss(model, sets), model.robot.reach
+        missed, reach = _miss(model, sets), reach_of(model.robot, sets)
         if missed < _GOOD * reach:
             return None
         best = _likeliest(_trials_of_tables(model, sets))[0]
@@ -191,7 +191,7 @@ def _signatures(
     if not filled:
         return None
     sets = tuple(_spread_rows(data, filled) for data in with_common_names(model, filled))
-    problem, reach = _problem(_ordinary(model), sets), model.robot.reach
+    problem, reach = _problem(_ordinary(model), sets), reach_of(model.robot, sets)
     if sum(data.sigma.size for data in sets) < _NUMBERS_PER_UNKNOWN * len(problem.parameters):
         return None
     missed = _missed(problem)
@@ -264,7 +264,7 @@ def _missed(problem: Problem, evaluations: int | None = None) -> float:
     parameters, sets, robot = problem.parameters, problem.measurements, problem.model.robot
     if evaluations is None:
         evaluations = _EVALUATIONS if _seen(sets) else _EVALUATIONS_UNSEEN
-    units = np.repeat([1.0, 1.0 / robot.reach], 3)
+    units = np.repeat([1.0, 1.0 / reach_of(robot, sets)], 3)
     sigmas = [np.broadcast_to(units[: data.sigma.shape[1]], data.sigma.shape) for data in sets]
     s = scales(parameters)
     z = values_at(robot, parameters, problem.reference) / s
@@ -330,7 +330,7 @@ def _relaxed(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Array, fl
         K = np.einsum("nki,nml->nilkm", R[own], orientation[own]).reshape(-1, 9, 9)
         K = linear.triangle((K - K.mean(axis=0)).reshape(-1, 9))
         # |R - R'|^2 is twice the angle squared.
-        rows.append(np.pad(K * model.robot.reach / np.sqrt(2.0) / size, ((0, 0), (0, rows[0].shape[1] - 9))))
+        rows.append(np.pad(K * reach_of(model.robot, sets) / np.sqrt(2.0) / size, ((0, 0), (0, rows[0].shape[1] - 9))))
     triangle = linear.triangle(np.concatenate(rows))
     L, c = triangle[:, :-1], triangle[:, -1]
     solution = np.asarray(np.linalg.lstsq(L, c, rcond=_NEGLIGIBLE)[0], dtype=np.float64)
@@ -467,7 +467,7 @@ def _contradicted(sets: Sequence[Measurements], found: Strays) -> Finding:
 
 def _misses(model: ErrorModel, sets: Sequence[Measurements], missed: float) -> str:
     turns = any(data.orientation is not None for data in sets)
-    weighed = f" (1 rad counted as {model.robot.reach:.3g} m)" if turns else ""
+    weighed = f" (1 rad counted as {reach_of(model.robot, sets):.3g} m)" if turns else ""
     return f"the nominal robot misses the measurements by {_mm(missed)} rms{weighed}"
 
 

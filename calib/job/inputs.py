@@ -111,7 +111,9 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
         *meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf),
     ]
     # Of a whole table, also where some of its rows are held out: what a joint does in these few says nothing.
-    findings = doubts + [finding for _, data in before for finding in table_findings(data, robot.readings, robot.reach)]
+    findings = doubts + [
+        finding for _, data in before for finding in table_findings(data, robot.readings, data.reach(robot))
+    ]
     findings += [finding for one_use in (chosen, held_out, nodes) for finding in copied_tables(one_use)]
     if len(chosen) > 1:
         # A joint that rests in one table may move in another; what is never seen, the rank says.

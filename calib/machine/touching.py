@@ -115,11 +115,8 @@ def touched(
         points = arm.points(stacked(table, own), conditions)
     position = {name: Column(name, UNITS["m"], read_only(points[:, k])) for k, name in enumerate(_POSITION)}
     arms = replace(table, columns={name: table.columns[name] for name in own} | position)
-    doubts = table_findings(
-        measurements_from_table(arms, arm.machine.robot.readings, "position"),
-        arm.machine.robot.readings,
-        arm.machine.robot.reach,
-    )
+    by_arm = measurements_from_table(arms, arm.machine.robot.readings, "position")
+    doubts = table_findings(by_arm, arm.machine.robot.readings, by_arm.reach(arm.machine.robot))
     rest = {name: column for name, column in table.columns.items() if name not in own and name not in told}
     return (
         measurements_from_table(

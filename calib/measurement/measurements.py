@@ -1,6 +1,6 @@
 """What was measured of one robot: readings, what was seen of the tool there, and its noise."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -12,6 +12,7 @@ from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.ranges import refuse_shape
 from calib.foundations.sealing import sealed
+from calib.foundations.units import MM
 from calib.foundations.words import counted, listed
 from calib.measurement.boards import Board
 from calib.measurement.instruments import Camera
@@ -178,6 +179,11 @@ class Measurements:
             return robot.with_tip(self.tip or robot.tip).tips(self.readings, deviations, own)
 
     @checked
+    def reach(self, robot: Robot) -> float:
+        """Return an upper bound in m of how far the tip was from the base; 1 mm of a robot that goes nowhere."""
+        return max(robot.reach_at(self.readings), 1.0 * MM)
+
+    @checked
     def carrying(self, robot: Robot, payload: Payload) -> "Measurements":
         """Return the rows as measured with a payload: on the link that it names, else on the one with the tools.
 
@@ -340,6 +346,11 @@ def as_sets(measurements: Measurements | Sequence[Measurements]) -> tuple[Measur
 
 
 _Rows = TypeVar("_Rows", "End", "Measurements")
+
+
+def reach_of(robot: Robot, sets: Iterable[Measurements]) -> float:
+    """Return an upper bound in m of how far the tip was from the base in several sets."""
+    return max(data.reach(robot) for data in sets)
 
 
 def _of_rows(whole: _Rows, rows: IntArray) -> _Rows:

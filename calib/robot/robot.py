@@ -344,17 +344,30 @@ class Robot:
 
     @property
     def reach(self) -> float:
-        """Upper bound in m of the distance from base to tip."""
+        """Upper bound in m of the distance from base to tip, within the limits of the joints."""
+        return self._lengths + sum(
+            max(abs(reading.lower or 0.0), abs(reading.upper or 0.0)) for reading in self._slides.values()
+        )
+
+    @checked
+    def reach_at(self, readings: Array) -> float:
+        """Return an upper bound in m of the distance from base to tip at readings (N, nr).
+
+        Slides count by how far they are out: their limits in a URDF are often numbers that stand for none.
+        """
+        return self._lengths + float(np.sum(np.abs(self.own(readings)[:, [*self._slides]]).max(axis=0, initial=0.0)))
+
+    @property
+    def _slides(self) -> dict[int, Reading]:
+        return {k: reading for k, reading in enumerate(self.readings) if reading.dimension == "length"}
+
+    @property
+    def _lengths(self) -> float:
         joint, lengths = self.tip_joint, 0.0
         while joint >= 0:
             lengths += float(np.linalg.norm(self.chain[joint].placement[:3, 3]))
             joint = self.chain[joint].parent
-        travel = sum(
-            max(abs(reading.lower or 0.0), abs(reading.upper or 0.0))
-            for reading in self.readings
-            if reading.dimension == "length"
-        )
-        return lengths + travel
+        return lengths
 
     @property
     def root_in_base(self) -> Array:

@@ -967,6 +967,31 @@ def test_lengths_of_a_scara_that_are_all_too_long(factor: float, passed: bool) -
     assert check.passed == passed
 
 
+def test_limits_of_a_slide_that_stand_for_none_make_no_check_blunt() -> None:
+    """Errors are judged by the size of an arm: URDFs of arms on rails have 999999 there."""
+    text = machines.urdf(
+        ("rail", "prismatic", "0 0 0.1", "0 0 0", "0 1 0"),
+        ("joint_1", "revolute", "0 0 0.3", "0 0 0", "0 0 1"),
+        ("joint_2", "revolute", "0.1 0 0.1", "0 0 0", "0 1 0"),
+        ("joint_3", "revolute", "0 0 0.4", "0 0 0", "0 1 0"),
+        ("joint_4", "revolute", "0.3 0 0.1", "0 0 0", "1 0 0"),
+        ("joint_5", "revolute", "0.1 0 0", "0 0 0", "0 1 0"),
+        ("joint_6", "revolute", "0.1 0 0", "0 0 0", "1 0 0"),
+    )
+    drawn, rng = machines.arm(text, "tip"), np.random.default_rng(4)
+    true = machines.Machine(drawn.moved(rng), np.eye(4), {"tool": machines.pose((0.05, 0.03, 0.12))})
+    readings, seen = drawn.draw(rng, 60), []
+    for limited in (text, text.replace('lower="-0.1" upper="0.7"', 'lower="-999999" upper="999999"')):
+        robot = machines.load(limited, "tip")
+        data = true.measure(robot, readings, rng=np.random.default_rng(5), sigma=5e-5)
+        found = calib.assess(calib.identify(calib.error_model(robot, offsets="all", placements="all"), data))
+        assert calib.check(found.fit.model, data) == ()
+        seen.append(found.checks)
+    assert [(one.name, one.passed) for one in seen[0]] == [(one.name, one.passed) for one in seen[1]]
+    limits, stand_for_none = ([one.threshold for one in checks] for checks in seen)
+    np.testing.assert_allclose(limits, stand_for_none, rtol=1e-3)
+
+
 @pytest.mark.parametrize(("factor", "passed"), [(1.0, True), (1.05, False), (0.98, False)])
 def test_lengths_of_an_arm_of_millimetres_are_judged_by_its_size(factor: float, passed: bool) -> None:
     """None of its lengths moves the tool by the millimetres that those of usual arms do."""

@@ -107,6 +107,14 @@ def test_the_reach_bounds_how_far_the_tip_comes() -> None:
     assert load(machines.INLINE["scara"]).reach == pytest.approx(0.4 + np.hypot(0.35, 0.05) + 0.3 + 0.1 + 0.7)
 
 
+def test_the_reach_at_readings_counts_slides_as_far_as_they_are_out() -> None:
+    arm, links = load(machines.INLINE["scara"]), 0.4 + np.hypot(0.35, 0.05) + 0.3 + 0.1
+    readings = np.zeros((2, len(arm.readings)))
+    assert arm.reach_at(readings) == arm.reach_at(readings[:0]) == pytest.approx(links)
+    readings[:, [reading.name for reading in arm.readings].index("quill")] = 0.2, -0.3
+    assert arm.reach_at(readings) == pytest.approx(links + 0.3)
+
+
 def test_the_frame_of_the_base_link_is_the_root() -> None:
     arm = load(machines.INLINE["scara"])
     frame = Outline(segments(arm)).skeleton(np.full((len(arm.chain), 6), 0.1)).end_frame(-1)

@@ -107,7 +107,7 @@ def lengths(fit: Fit, of_all: CommonScale) -> Check:
     worst, link = _most_wrong(fit, sorted(free))
     scale, sigma, moves, alike = of_all
     most = LINK if alike < ALIKE and abs(scale) > SCALE else SCALE
-    reach = fit.robot.reach
+    reach = fit.reach
     scaled_least = min(max(SCALED, LEAST_SCALED * reach), MOST_SCALED * reach)
     if abs(scale) > max(most, SURE * sigma) and abs(scale) * moves > scaled_least:
         said = (
@@ -170,7 +170,7 @@ def _most_wrong(fit: Fit, joints: Sequence[int]) -> tuple[float, str]:
 
     ``joints``: those with free lengths, by number.
     """
-    worst, link, short = 0.0, "", min(LINK_LENGTH, MOST_LINK * fit.robot.reach)
+    worst, link, short = 0.0, "", min(LINK_LENGTH, MOST_LINK * fit.reach)
     for k in joints:
         T, own = np.asarray(fit.robot.chain[k].placement), fit.deviations.placements[k, :3]
         length = float(np.linalg.norm(T[:3, 3]))
@@ -179,7 +179,7 @@ def _most_wrong(fit: Fit, joints: Sequence[int]) -> tuple[float, str]:
         name = repr(fit.robot.chain[k].name)
         for off, of, said in (
             (abs(by), length, f"The distance to joint {name} differs by {_in_mm(by)} from the URDF"),
-            (beside, fit.robot.reach, f"Joint {name} is {_in_mm(beside)[1:]} beside its place in the URDF"),
+            (beside, fit.reach, f"Joint {name} is {_in_mm(beside)[1:]} beside its place in the URDF"),
         ):
             if off > worst * max(LINK * of, short):
                 worst, link = off / max(LINK * of, short), said
@@ -315,7 +315,7 @@ def _known_lengths(fit: Fit) -> tuple[Array, Array]:
 def tool_and_base(fit: Fit) -> Check:
     """Whether tools are within reach of their link, and the base within sight."""
     free = {parameter.kind for parameter in fit.parameters}
-    reach = max(fit.model.robot.reach, FAR_TOOL)
+    reach = max(fit.reach, FAR_TOOL)
     found = []
     if "tool" in free:
         far = float(np.linalg.norm(fit.machine.frames.tools[:, :3, 3], axis=1).max(initial=0.0))

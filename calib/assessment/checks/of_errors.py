@@ -82,9 +82,9 @@ def _spread(fit: Fit, sets: Sequence[Measurements], data: Measurements, unit: st
     if unit == "px":
         return spread(data.value[:, :2])
     if data.position is not None:
-        return max(spread(fit.places_of(data)), ONE_PLACE * fit.model.robot.reach)
+        return max(spread(fit.places_of(data)), ONE_PLACE * fit.reach)
     ends = [_points(fit, own, end) for own in sets for end in own.ends]
-    return max(spread(np.concatenate(ends)), ONE_PLACE * fit.model.robot.reach)
+    return max(spread(np.concatenate(ends)), ONE_PLACE * fit.reach)
 
 
 def _points(fit: Fit, data: Measurements, end: End) -> Array:

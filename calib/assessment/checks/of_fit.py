@@ -109,4 +109,4 @@ def small_sigma(fit: Fit, unit: str) -> float:
         return OF_REACH * max(
             (data.camera.lens.fx for data in fit.measurements if data.camera is not None), default=0.0
         )
-    return OF_REACH * (fit.model.robot.reach if unit == "m" else 1.0)
+    return OF_REACH * (fit.reach if unit == "m" else 1.0)

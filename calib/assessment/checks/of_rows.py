@@ -95,7 +95,7 @@ def drift(found: Sequence[Drift], fit: Fit) -> Check:
 
     A base may, by some of its instrument's noise; what an arm is now, its calibration is to say.
     """
-    reach = fit.model.robot.reach
+    reach = fit.reach
     told = [(one, _drift_limit(one, reach)) for one in found if one.chance < RARELY]
     if not told:
         return Check.idle("drift", WANDERED * reach, "Nothing seems to drift over the rows.")
@@ -266,7 +266,7 @@ def axes(found: Sequence[Strain], moved_more: Mapping[str, Effect]) -> Check:
 
 def resolution(found: Sequence[Rounding], fit: Fit) -> Check:
     """Whether readings have enough digits: rounding neither moves the tool far, nor is it what remains."""
-    limit = COARSE * fit.model.robot.reach
+    limit = COARSE * fit.reach
     # Of what remains, far less is left where readings are exact, as where poses were commanded in whole degrees.
     told = [one for one in found if ROUNDED <= one.share <= 1.0 / ROUNDED]
     worst = max(told, key=lambda one: one.distance, default=None)
@@ -316,7 +316,7 @@ def set_ups(found: Sequence[OwnBase]) -> Check:
 
 def one_machine(found: Sequence[MixedMachines], fit: Fit) -> Check:
     """Whether all rows are of one machine: told apart in several, they would leave hardly less, or be hardly apart."""
-    limit = OF_REACH * fit.model.robot.reach
+    limit = OF_REACH * fit.reach
     told = [one for one in found if one.share >= MANY and one.apart >= limit]
     if not told:
         return Check.idle("one machine", 2.0 * MACHINES, "The rows do not seem to come from several machines.")
