@@ -6,7 +6,7 @@ Cauchy R. A. Maronna, R. D. Martin, V. J. Yohai, Robust Statistics, 2006; for so
 more numbers they give more.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Literal, get_args
 
@@ -68,12 +68,22 @@ def scatter_weight(loss: Loss, t: Array) -> Array:
 @cache
 def shrinkage(loss: Loss, d: int) -> float:
     """Return by how much these weights lessen the mean square of ordinary rows of d normal numbers."""
+    return _mean_square(loss, d, scatter_weight)
+
+
+@cache
+def weighed_square(loss: Loss, d: int) -> float:
+    """Return the mean square of ordinary rows of d normal numbers, as a fit weighs them: less than 1."""
+    return _mean_square(loss, d, weight)
+
+
+def _mean_square(loss: Loss, d: int, share: Callable[[Loss, Array], Array]) -> float:
     if loss == "linear":
         return 1.0
 
     from scipy import integrate  # noqa: PLC0415 - slow to load, and needed for robust losses alone
 
     def integrand(square: float) -> float:
-        return float(scatter_weight(loss, np.array(np.sqrt(square / d))) * square / d * density(square, d))
+        return float(share(loss, np.array(np.sqrt(square / d))) * square / d * density(square, d))
 
     return float(integrate.quad(integrand, 0.0, np.inf)[0])

@@ -6,17 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.assessment.checks.of_rows import far_off
 from calib.assessment.comparison import paired
 from calib.assessment.gaussian_choice import MOST_JUDGED, bought
 from calib.assessment.judged import JudgedSet
 from calib.assessment.own_base import tables_with_own_base
 from calib.assessment.validation import row_groups
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import MM
 from calib.foundations.words import listed
 from calib.identification.fit import Fit
 from calib.identification.identify import residuals_of
+from calib.identification.losses import Loss
 from calib.job.inputs import Inputs
 from calib.job.read import Progress
 from calib.job.refusals import with_positions
@@ -54,7 +56,7 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
     turned = np.concatenate(
         [(np.swapaxes(R, -1, -2) @ r[:, :, None])[:, :, 0] for R, r in zip(axes, errors, strict=True)]
     )
-    readings = np.concatenate([data.readings for data in sets])
+    readings, group = np.concatenate([data.readings for data in sets]), row_groups(sets)
     # Elsewhere base and load err otherwise, and so do other tools.
     setups, tools = (_of_several(names, sets, fit.measurements) for names in (_setups, _tools))
     if section.kind == "grid":
@@ -69,10 +71,14 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
         )
         return ResidualLevel(replace(grid, setups=setups, tools=tools), int(3 * grid.measured.sum()))
     progress("learning the Gaussian process")
+    if not inputs.nodes:
+        # What a loss takes for a wrong measurement in the fit is no error of the arm here.
+        told = np.concatenate([_told(r, loss) for r, loss in zip(errors, _losses(inputs), strict=True)])
+        readings, turned, group = readings[told], turned[told], np.unique(group[told], return_inverse=True)[1]
     known = gaussian_from_residuals(
         readings, turned, fit.robot.readings, section.joints, section.frame, where=sets[0].where
     )
-    gain = bought(known, readings, turned, row_groups(sets))
+    gain = bought(known, readings, turned, group)
     if gain.enters:
         return ResidualLevel(replace(known, setups=setups, tools=tools), len(known.joints) + 2)
     without, held = gain
@@ -82,6 +88,17 @@ def residual_model(inputs: Inputs, fit: Fit, progress: Progress) -> ResidualLeve
         f"{without.rms / MM:.3g} mm to {held.rms / MM:.3g} mm, which is not better by more than a standard error."
     )
     return ResidualLevel(None, 0, Finding.warning("gaussian-process-left-out", sentence))
+
+
+def _losses(inputs: Inputs) -> list[Loss]:
+    """Return the losses of the tables to identify from that have positions."""
+    every = zip(inputs.identify, inputs.losses, strict=True)
+    return [loss for data, loss in every if data.position is not None]
+
+
+def _told(errors: Array, loss: Loss) -> BoolArray:
+    """Return which rows of a table tell of the arm by their errors (N, 3): of a robust loss, those not far off."""
+    return np.full(len(errors), fill_value=True) if loss == "linear" else ~far_off(np.linalg.norm(errors, axis=1), 3)
 
 
 def _of_several(

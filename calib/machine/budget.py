@@ -31,6 +31,7 @@ from calib.identification.arrow import Arrow, Collected, Reduced, Split
 from calib.identification.elimination import split_of
 from calib.identification.fit import Fit
 from calib.identification.identifiability import RANK_TOLERANCE
+from calib.identification.losses import weighed_square
 from calib.identification.machine import Layout, Machine, values_at
 from calib.identification.not_seen import likely_widths
 from calib.identification.parameters import Parameter, scales
@@ -122,17 +123,18 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
 
     sized = _sized(waves, wind_up)
     drifts = m - of_readings.many
-    instrument = _instrument(problem, sigmas)[[one.component for one in levels]]
+    component = [one.component for one in levels]
+    instrument, lessened = _instrument(fit, problem)[component], _lessened(problem)[component]
     taught = _Taught(
         _by_level(data[:, p:] - solved.J @ (from_data @ data[:, p:]), ends, level, scale),
         np.array([max(one.freedom, 1.0) for one in levels]),
-        instrument,
+        instrument * lessened,
         np.concatenate([sized, np.full(drifts, sized.max() + 1)]),
         drifts > 0,
     )
     learned, rows_as_one = _learned(taught, as_one)
     del taught  # of many tables it takes much memory
-    noise = learned.noise
+    noise = learned.noise / lessened
 
     of_rows = np.diff(ends)
     seen = np.repeat(np.minimum(instrument[level] / (noise[level] * np.sqrt(scale)), 1.0), of_rows)
@@ -344,10 +346,17 @@ def _solved(parameters: Sequence[Parameter], relations: Array, data: Array, free
     return _Solved(J, from_data, from_relations, np.hstack([from_priors, held]))
 
 
-def _instrument(problem: Problem, sigmas: tuple[Array, ...]) -> Array:
-    """Return the rms of the instrument's noise (c,) in every component, as a share of what rows are weighed by."""
+def _instrument(fit: Fit, problem: Problem) -> Array:
+    """Return the rms of the instrument's noise (c,) in every component, as a share of what ordinary rows scatter by."""
+    sigmas = weights.sigmas_of(problem, fit.variances, search=True)
     shares = [data.sigma / sigma for data, sigma in zip(problem.measurements, sigmas, strict=True)]
     return np.array([np.sqrt(np.mean(shares[c.measurements][:, c.columns] ** 2)) for c in problem.components])
+
+
+def _lessened(problem: Problem) -> Array:
+    """Return as what share of itself (c,) the noise of every component shows in rows that a loss has weighed."""
+    which = [c.measurements for c in problem.components]
+    return np.sqrt([weighed_square(problem.losses[i], problem.measurements[i].sigma.shape[1]) for i in which])
 
 
 class _Learned(NamedTuple):

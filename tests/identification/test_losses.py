@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.identification.losses import Loss, scatter_weight, shrinkage, squares, weight
+from calib.identification.losses import Loss, scatter_weight, shrinkage, squares, weighed_square, weight
 from tests.support import machines, touching
 
 # rho(z) of z = (t / c)^2, as in scipy.optimize.least_squares, and c.
@@ -60,6 +60,7 @@ def test_shrinkage_is_what_ordinary_rows_lose(loss: Loss, d: int) -> None:
     r = np.random.default_rng(0).normal(size=(400_000, d))
     square = np.mean(r**2, axis=1)
     assert np.mean(scatter_weight(loss, np.sqrt(square)) * square) == pytest.approx(shrinkage(loss, d), rel=0.01)
+    assert np.mean(weight(loss, np.sqrt(square)) * square) == pytest.approx(weighed_square(loss, d), rel=0.01)
 
 
 def test_rows_that_weigh_less_beside_stated_priors_come_to_rest() -> None:

@@ -107,6 +107,25 @@ def test_an_arm_without_anything_unexplained_gets_none(tmp_path: Path) -> None:
     assert calib.load_machine(tmp_path / "out").residual_model is None
 
 
+def test_rows_that_a_robust_loss_lets_go_teach_it_nothing(tmp_path: Path) -> None:
+    """Two wrong rows of sixty would make it seem useless: it is made of the others, as the fit is."""
+    path = cases.copy_case(tmp_path)
+    text = path.read_text(encoding="utf-8") + LEVELS
+    text = text.replace('observes = "position"', 'observes = "position"\nloss = "cauchy"', 1)
+    path.write_text(text.replace('placements = "all"', ""), encoding="utf-8")
+    lines = (tmp_path / "identification.csv").read_text(encoding="utf-8").splitlines()
+    head = next(n for n, line in enumerate(lines) if line.startswith("joint_1"))
+    rows = [list(map(float, line.split(","))) for line in lines[head + 1 :]]
+    x = lines[head].split(", ").index("x [mm]")
+    for n, row in enumerate(rows):
+        row[x] += 3.0 * np.sin(np.radians(3.0 * row[0])) + (40.0 if n in (7, 30) else 0.0)
+    table = [lines[head], *(",".join(map(repr, map(float, row))) for row in rows)]
+    (tmp_path / "identification.csv").write_text("\n".join(table) + "\n", encoding="utf-8")
+    known = run(load(path)).machine.residual_model
+    assert isinstance(known, GaussianResiduals)
+    assert len(known.points) == len(rows) - 2
+
+
 @pytest.mark.parametrize(
     ("kind", "sentence"),
     [

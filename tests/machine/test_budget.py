@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import calib
+from calib.identification.losses import Loss
 from calib.identification.noise import Noise
 from calib.machine.budget import errors_by_cause
 from calib.machine.calibrated import CalibratedMachine
@@ -33,7 +34,7 @@ def fitted(
     rows: int = 60,
     off: Callable[[Array], Array] = np.zeros_like,
     disturbed: Callable[[Array], Array] | None = None,
-    stated: float = SIGMA,
+    stated: float | None = SIGMA,
     observes: str = "position",
     **options: object,
 ) -> tuple[calib.Fit, Callable[[Array], Array], machines.Arm]:
@@ -201,6 +202,17 @@ def test_a_drift_is_the_instruments_and_rows_that_err_together_count_less() -> N
     # Ten rows that share half of their variance count as two: what reaches the tool is more than twice the variance.
     noise = [np.hypot(share(machine_of(fit), q, "instrument"), through_fit(fit, q)) for fit in (plain, together)]
     assert noise[1] > 1.5 * noise[0]
+
+
+@pytest.mark.parametrize("loss", ["huber", "soft_l1", "cauchy"])
+def test_a_robust_loss_makes_the_noise_of_ordinary_rows_no_smaller(loss: Loss) -> None:
+    """Rows weigh less the farther off they are, so that weighed rows scatter less than the tool does."""
+    fit, _, _ = fitted(rows=150, stated=None)
+    robust = calib.identify(fit.model, fit.measurements, losses=[loss])
+    plain, weighed = (machine_of(found).known_uncertainty.position for found in (fit, robust))
+    assert plain is not None
+    assert weighed is not None
+    assert weighed.total == pytest.approx(plain.total, rel=0.04)
 
 
 def test_noise_that_is_not_stated_counts_as_the_robots() -> None:

@@ -14,6 +14,7 @@ from calib.assessment.metrics import error_norms
 from calib.assessment.mixed_machines import MixedMachines
 from calib.assessment.outliers import Outliers
 from calib.assessment.own_base import OwnBase
+from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.chance import bound
 from calib.foundations.units import MM, MRAD, MS
 from calib.identification.fit import Fit
@@ -336,9 +337,8 @@ def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
         allowed = GROSS if loss == "linear" else GROSS_ROBUST
         for name, errors in error_norms(one.data.kind, one.after).items():
             d = next(q.columns.stop - q.columns.start for q in QUANTITIES[one.data.kind] if q.name == name)
-            scale = float(np.median(errors)) / np.sqrt(bound(0.5, d))
             freedom = sum(n.degrees_of_freedom for n in fit.noise if (n.measurements, n.quantity) == (i, name))
-            many = int(np.sum(errors > FAR * _poorly_known(freedom) * scale)) if scale > ROUNDING else 0
+            many = int(np.sum(far_off(errors, d, freedom)))
             share = many / len(errors) if many > 1 else 0.0
             if share / allowed > worst / limit:
                 worst, limit, where = share, allowed, one.file
@@ -348,6 +348,15 @@ def outliers(fit: Fit, own: Sequence[JudgedSet]) -> Check:
     why = "they are wrong, or the arm does there what the model leaves out; look at them before any is removed."
     said = f"{said}." if passed else f"{where}: {said}: {why}"
     return Check.of("outliers", worst, limit, passed, said)
+
+
+def far_off(errors: Array, d: int, freedom: float = np.inf) -> BoolArray:
+    """Return which rows, by the lengths (N,) of their errors of d numbers, lie farther off than others ever do.
+
+    By more than five standard deviations, which the median tells; ``freedom``: how many numbers tell them.
+    """
+    scale = float(np.median(errors)) / np.sqrt(bound(0.5, d))
+    return np.asarray((errors > FAR * _poorly_known(freedom) * scale) & (scale > ROUNDING))
 
 
 def _poorly_known(freedom: float) -> float:
