@@ -1014,6 +1014,40 @@ def test_lengths_of_an_arm_of_millimetres_are_judged_by_its_size(factor: float, 
     assert check.passed == passed
 
 
+@pytest.mark.parametrize("placements", ["all", calib.dh.Free()])
+@pytest.mark.parametrize(("factor", "passed"), [(1.0, True), (1.03, False)])
+def test_lengths_may_be_those_of_fixed_joints(factor: float, passed: bool, placements: str | calib.dh.Free) -> None:
+    """Every joint stands at zero in a fixed one: nothing told of lengths that are all 3 % longer."""
+    steps = (
+        ("0 0 0.29", "0 0 1"),
+        ("0.07 0 0", "0 1 0"),
+        ("0 0 0.6", "0 1 0"),
+        ("0.4 0 0.1", "1 0 0"),
+        ("0.3 0 0", "0 1 0"),
+        ("0.09 0 0", "1 0 0"),
+    )
+    text = machines.urdf(
+        *(
+            joint
+            for k, (xyz, axis) in enumerate(steps, start=1)
+            for joint in (
+                (f"mount_{k}", "fixed", xyz, "0 0 0", "0 0 0"),
+                (f"joint_{k}", "revolute", "0 0 0", "0 0 0", axis),
+            )
+        )
+    )
+    robot, drawn, rng = machines.load(text, "tip"), machines.arm(text, "tip"), np.random.default_rng(8)
+    made = replace(drawn, joints=tuple(replace(j, origin=lengthened(j.origin, factor)) for j in drawn.joints)).moved(
+        rng
+    )
+    true = machines.Machine(made, np.eye(4), {"tool": machines.pose((0.05, 0.03, 0.12))})
+    model = calib.error_model(robot, offsets="all", placements=placements)
+    fit = calib.identify(model, true.measure(robot, made.draw(rng, 60), rng=rng, sigma=5e-5))
+    check = of_arm.lengths(fit, of_arm.common_scale(fit, stretches(Residue.of(fit, {}))))
+    assert check.statistic == pytest.approx(abs(factor - 1.0), abs=3e-3)
+    assert check.passed == passed
+
+
 def test_a_short_link_of_a_crane_is_no_share_of_all_lengths() -> None:
     """What its boom's travel does not take up of lengths is one of half a metre: 9 mm of 24 m are no other crane."""
     text = machines.urdf(

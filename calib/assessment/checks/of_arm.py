@@ -1,6 +1,6 @@
 """Checks of the arm and its surroundings: whether what was found, or given, is plausible."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -23,6 +23,7 @@ from calib.identification.tool_motions import tool_motions
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
 from calib.measurement.optics import SCALE as OF_BOARD
+from calib.robot.robot import ChainJoint
 
 # What a joint that did not move leaves, in rad or m.
 REST = 1e-4
@@ -147,12 +148,13 @@ def as_by_scale(fit: Fit, of_all: CommonScale) -> tuple[str, ...]:
 
 def _of_links(fit: Fit) -> tuple[Array, BoolArray]:
     """Return by how much every parameter (p,) makes links longer by their own length, and which are such lengths."""
-    chain = fit.model.robot.chain
+    chain, shifts = fit.model.robot.chain, [_shifts(parameter) for parameter in fit.parameters]
+    free = {k for own in shifts for k, _, _ in own}
     scaled = np.zeros(len(fit.parameters))
     moved = np.zeros(len(fit.parameters), dtype=np.bool_)
-    for p, parameter in enumerate(fit.parameters):
-        for k, axis, by in _shifts(parameter):
-            T = np.asarray(chain[k].placement)
+    for p, own in enumerate(shifts):
+        for k, axis, by in own:
+            T = _link(chain, k, free)
             # A deviation is in the joint's own frame. A DH number is one of several of them, in fixed shares.
             scaled[p] += by * (T[:3, :3].T @ T[:3, 3])[axis]
             moved[p] = True
@@ -165,6 +167,19 @@ def _shifts(parameter: Parameter) -> list[tuple[int, int, float]]:
     return [(entry // 6, entry % 6, by) for entry, by in entries if entry % 6 < _AXES]
 
 
+def _link(chain: Sequence[ChainJoint], k: int, free: Collection[int]) -> Array:
+    """Return where joint k is (4, 4) in the link that carries it, of the joints with ``free`` lengths one link each.
+
+    A length may be written in fixed joints before a joint, which then stands at zero in the last of them. Those that
+    only say where the arm stands are no length of it.
+    """
+    own = T = np.asarray(chain[k].placement)
+    before = chain[k].parent
+    while before >= 0 and chain[before].type == "fixed" and before not in free:
+        T, before = chain[before].placement @ T, chain[before].parent
+    return T if before >= 0 else own
+
+
 def _most_wrong(fit: Fit, joints: Sequence[int]) -> tuple[float, str]:
     """Return how far the link that is farthest from the URDF is off, of what it may, and what is said of it.
 
@@ -172,7 +187,7 @@ def _most_wrong(fit: Fit, joints: Sequence[int]) -> tuple[float, str]:
     """
     worst, link, short = 0.0, "", min(LINK_LENGTH, MOST_LINK * fit.reach)
     for k in joints:
-        T, own = np.asarray(fit.robot.chain[k].placement), fit.deviations.placements[k, :3]
+        T, own = _link(fit.robot.chain, k, joints), fit.deviations.placements[k, :3]
         length = float(np.linalg.norm(T[:3, 3]))
         by = float(T[:3, 3] @ T[:3, :3] @ own) / length if length > 0.0 else float(np.linalg.norm(own))
         beside = float(np.sqrt(max(float(own @ own) - by**2, 0.0)))
