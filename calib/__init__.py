@@ -24,7 +24,7 @@ from calib.foundations.lazy import submodules_of as _submodules_of
 from calib.foundations.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from calib import commands, judging, measuring, planning, positioner
+    from calib import commands, dh, judging, measuring, planning, positioner
     from calib.assessment.acceptance import verify
     from calib.assessment.advice import advice
     from calib.assessment.checking import check
@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from calib.presentation.plots import plot
     from calib.results.calibration import Calibration, assess
     from calib.results.folder import report, save, scene
-    from calib.robot import dh
     from calib.robot.load import load_robot
     from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot
     from calib.robot.terms import JointTerm
@@ -85,7 +84,6 @@ _HOMES = {
     "presentation.fit_tables": "table",
     "results.calibration": "Calibration assess",
     "results.folder": "report save scene",
-    "robot": "dh",
     "robot.load": "load_robot",
     "robot.robot": "ClosedLoop Coupling Deviations Robot",
     "robot.terms": "JointTerm",

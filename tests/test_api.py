@@ -87,7 +87,7 @@ def test_names_are_known_to_type_checkers_and_found_where_these_look() -> None:
     tree = ast.parse(Path(calib.__file__).read_text(encoding="utf-8"))
     (block,) = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
     read = {alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
-    assert {name for name, module in read.items() if module == "calib"} == set(MODULES) - {"dh"}
+    assert {name for name, module in read.items() if module == "calib"} == set(MODULES)
     assert {name: module for name, module in read.items() if module != "calib"} == calib._MODULES
     assert sorted(read) == calib.__all__
 
@@ -98,6 +98,12 @@ def test_names_are_known_to_type_checkers_and_found_where_these_look() -> None:
 def test_modules_need_no_import_of_their_own(name: str) -> None:
     code = f"import calib; calib.measuring.Payload; {name}"
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_modules_of_names_are_imported_as_such(name: str) -> None:
+    """``import calib.dh`` failed where ``from calib import dh`` did not."""
+    subprocess.run([sys.executable, "-W", "error", "-c", f"import calib.{name}; calib.{name}.__all__"], check=True)
 
 
 def test_errors_are_one_family() -> None:

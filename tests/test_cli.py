@@ -227,12 +227,49 @@ def test_names_of_targets_and_touches_that_are_not_verified(folder: Path) -> Non
         (folder / f"{title}.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
     said = run("compensate", "out", "name.csv", "-o", "sent.csv")
     assert said.code == 1
-    assert said.err.endswith("like 'name [mm]' or '[deg]'; names of targets belong in the column 'group'.\n")
+    assert "like 'name [mm]' or '[deg]'; names of targets belong in the column 'group', " in said.err
+    assert run("compensate", "out", "name.csv", "-o", "renamed.csv", "--column", "group=name").code == 0
+    assert ",name,remaining_error [mm]" in (folder / "renamed.csv").read_text(encoding="utf-8")
     assert run("compensate", "out", "group.csv", "-o", "sent.csv").code == 0
     assert ",P 1," in (folder / "sent.csv").read_text(encoding="utf-8")
     said = run("verify", "out", "target.csv")
     assert said.code == 1
     assert said.err.startswith("Error: target.csv: touches of targets are not verified; name this table in a [[mea")
+
+
+def test_targets_of_a_controller_are_corrected_in_its_own_columns(folder: Path) -> None:
+    assert run("calibrate", JOB, "-o", "out", "-q").code == 0
+    (folder / "krl.csv").write_text(
+        "X,Y,Z,A,B,C,S\n400,-300,600,-150,90,30,2\n-110,-9,829,93,-72,-44,2\n", encoding="utf-8"
+    )
+    said = run("compensate", "out", "krl.csv", "-o", "sent.csv")
+    assert (said.code, said.err.count("\n")) == (1, 1)
+    assert said.err.endswith("--column 'NAME [UNIT]=X' gives a unit, and --ignore 'X' passes a column over.\n")
+    ours = [
+        f"{ours}={theirs}"
+        for ours, theirs in zip(
+            ["x [mm]", "y [mm]", "z [mm]", "rx [deg]", "ry [deg]", "rz [deg]"], "XYZABC", strict=True
+        )
+    ]
+    options = [word for pair in ours for word in ("--column", pair)] + ["--orientation", "abc", "--ignore", "S"]
+    said = run("compensate", "out", "krl.csv", "-o", "sent.csv", *options, "--json")
+    assert (said.code, json.loads(said.out)["targets"]) == (0, 2)
+    head, *rows = (folder / "sent.csv").read_text(encoding="utf-8").splitlines()
+    assert "joint_6 [deg],X,Y,Z,A,B,C,remaining_error [mm]" in head
+    assert [row.split(",")[6:12] for row in rows] == [
+        ["400", "-300", "600", "-150", "90", "30"],
+        ["-110", "-9", "829", "93", "-72", "-44"],
+    ]
+
+
+def test_tables_of_others_are_read_by_the_same_options() -> None:
+    """What the options are said to do is the same wherever they are."""
+    helps = []
+    for command in ("verify", "compensate"):
+        lines = run(command, "--help").out.split("Options:")[1]
+        words = " ".join(lines.split())
+        helps.append(words[words.index("--orientation") : words.index("--json")])
+    assert helps[0] == helps[1]
 
 
 def test_in_order_tells_rows_of_which_no_side_is_known(folder: Path) -> None:

@@ -7,6 +7,7 @@ import typer
 
 from calib.cli.application import IN_WORDS, PATH, Telling, command
 from calib.cli.options import ResultFolder, SetupName, argument, option, written
+from calib.cli.proposing import ColumnNames, IgnoredTitles, OrientationName, columns_said
 from calib.foundations.choices import PoseFrame, What
 from calib_start import loading
 
@@ -30,13 +31,17 @@ def compensate(
     in_order: Annotated[
         bool, typer.Option("--in-order", help="Targets are visited in their order, which tells the side of approach.")
     ] = False,
+    orientation: OrientationName = None,
+    column: ColumnNames = None,
+    ignore: IgnoredTitles = None,
     telling: Telling = IN_WORDS,
 ) -> None:
     """Correct commands: joint targets, poses or positions.
 
     Joint targets are corrected to take the calibrated machine where the nominal one would go; poses (x, y, z, qw, qx,
-    qy, qz) and positions are reached in the robot's base frame, or the instrument's. Rows that cannot be reached are
-    left empty, with the reason.
+    qy, qz, or rx, ry, rz with --orientation) and positions are reached in the robot's base frame, or the instrument's.
+    Rows that cannot be reached are left empty, with the reason. Columns keep their titles, units and angles; those that
+    are passed over are left out.
     """
     with loading():
         from calib.compensation import targets as targets_of
@@ -53,11 +58,15 @@ def compensate(
         say("reading the model and the targets")
         model = load_machine(results)
         try:
-            wanted = targets_of.read_targets(targets, model, tool, in_order=in_order)
+            columns = columns_said(column, ignore, orientation)
+            wanted = targets_of.read_targets(targets, model, tool, in_order=in_order, columns=columns)
         except HeaderError as e:
             if not e.unitless:
                 raise
-            raise MeasurementError(f"{str(e).removesuffix('.')}; names of targets belong in the column 'group'.") from e
+            raise MeasurementError(
+                f"{str(e).removesuffix('.')}; names of targets belong in the column 'group', --column "
+                f"'NAME [UNIT]={e.unitless[0]}' gives a unit, and --ignore {e.unitless[0]!r} passes a column over."
+            ) from e
         matters = targets_of.of_set_up(model, wanted, frame=frame)
         model = model.standing(setup, str(results)) if matters else model.at(setup)
         idle = (

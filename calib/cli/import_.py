@@ -92,7 +92,7 @@ def import_(
     of which each is one socket or point that was touched: calib import hole_*.csv --stack target -o touched.csv. Rows
     with several reflectors each: calib import tracker.csv --each-point -o rows.csv. Of a recording of ROS 1, ROS 2 or
     MCAP the topics are listed; --topic with -o makes a table of one of them.
-    Photographs of a board: calib import images photos/ --board board.toml --readings readings.csv -o marks.csv
+    Photographs of a board: calib import images photos/ --board board.toml --readings readings.csv -o marks.csv.
     Exit codes: 0 good, 1 bad input, 2 wrong usage.
     """
     with loading():

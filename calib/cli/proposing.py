@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from calib.cli.application import Telling
+from calib.cli.options import option
 from calib_start import loading
 
 if TYPE_CHECKING:
     from calib.job.looking import Looked
     from calib.job.proposal import Proposal, Question
+    from calib.measurement.table import Columns
     from calib.presentation.console import Shown
 
 OrientationName = Annotated[
@@ -27,6 +29,7 @@ ColumnNames = Annotated[
     list[str] | None,
     typer.Option("--column", help="A column by our name: 'x=X2', 'joint_1 [deg]=A1'; repeatable."),
 ]
+IgnoredTitles = Annotated[list[str] | None, option("--ignore", "TITLE", "A column to pass over; repeatable.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,16 @@ def renamed(column: Sequence[str] | None) -> dict[str, str]:
             raise JobError(f"--column: {pair!r} is not like 'x=X2': our name, and the title in the file.")
         columns[ours.strip()] = theirs.strip()
     return columns
+
+
+def columns_said(
+    column: Sequence[str] | None, ignore: Sequence[str] | None, orientation: str | None
+) -> "Columns | None":
+    """Return how a table is read by what options say of it; None where they say nothing."""
+    from calib.measurement.table import Columns
+
+    said = column or ignore or orientation
+    return Columns(renamed(column), tuple(ignore or ()), orientation) if said else None
 
 
 def proposed(urdf: str, files: Sequence[Path], given: Mapping[str, Any], *, ask: bool) -> "Proposal":

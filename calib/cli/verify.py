@@ -7,7 +7,7 @@ import typer
 
 from calib.cli.application import IN_WORDS, JUDGE, NOT_TRUSTED, Telling, command
 from calib.cli.options import ResultFolder, SetupName, argument, option
-from calib.cli.proposing import ColumnNames, OrientationName, renamed
+from calib.cli.proposing import ColumnNames, IgnoredTitles, OrientationName, columns_said
 from calib.foundations.choices import Observed
 from calib_start import loading
 
@@ -45,7 +45,7 @@ def verify(
     ] = False,
     orientation: OrientationName = None,
     column: ColumnNames = None,
-    ignore: Annotated[list[str] | None, option("--ignore", "TITLE", "A column to pass over; repeatable.")] = None,
+    ignore: IgnoredTitles = None,
     telling: Telling = IN_WORDS,
 ) -> None:
     """Verify a calibrated machine by new measurements.
@@ -65,7 +65,7 @@ def verify(
         from calib.measurement.checks import refuse_findings, table_findings, unreached
         from calib.measurement.formats.sheet import read_sheet
         from calib.measurement.read import read_measurements
-        from calib.measurement.table import Columns, HeaderError, read_table
+        from calib.measurement.table import HeaderError, read_table
         from calib.presentation.acceptance_tables import verification_lines, verification_sheet
         from calib.presentation.console import warning
         from calib.results.result_file import doubts_of
@@ -74,11 +74,7 @@ def verify(
         say("reading the model and the measurements")
         machine = load_machine(results).at(setup)
         machine = machine if tool is None else machine.of(tool)
-        columns = (
-            Columns(renamed(column), tuple(ignore or ()), orientation)
-            if column or ignore or orientation
-            else columns_of_results(results, observes)
-        )
+        columns = columns_said(column, ignore, orientation) or columns_of_results(results, observes)
         try:
             if tool is None and machine.tool_tips:
                 machine = _at_the_tip_of(machine, read_table(measurements, columns))

@@ -1,6 +1,6 @@
 """Targets of a calibrated machine as tables: joint targets, poses or positions in, corrected commands out."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast, get_args
@@ -19,14 +19,25 @@ from calib.foundations.csv_text import csv_cell, csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import svd
 from calib.foundations.sealing import sealed
-from calib.foundations.units import MM, MRAD, UNITS, Dimension, Unit
+from calib.foundations.units import MM, MRAD, UNITS, Dimension
 from calib.foundations.words import not_calibrated, refuse_other
 from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.columns import filled, orientations, stacked
 from calib.measurement.conditions import conditions, sided_columns
 from calib.measurement.measurements import ONLY_TOOL
-from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, Table, nearest, read_table
+from calib.measurement.orientations import ANGLES, MATRIX
+from calib.measurement.table import (
+    APPROACH,
+    AS_WRITTEN,
+    QUATERNION_COLUMNS,
+    TEXT_COLUMNS,
+    TORQUE,
+    Columns,
+    Table,
+    nearest,
+    read_table,
+)
 from calib.robot.conditions import Conditions
 from calib.robot.transmission import lacking
 
@@ -60,9 +71,20 @@ class Targets:
 
 
 @checked
-def read_targets(path: str | Path, model: CalibratedMachine, tool: str = "tool", *, in_order: bool = False) -> Targets:
-    """Read targets of a calibrated machine from a CSV file. Raises MeasurementError as :func:`targets` does."""
-    return targets(read_table(path), model, tool, in_order=in_order)
+def read_targets(
+    path: str | Path,
+    model: CalibratedMachine,
+    tool: str = "tool",
+    *,
+    in_order: bool = False,
+    columns: Mapping[str, str] | Columns | None = None,
+) -> Targets:
+    """Read targets of a calibrated machine from a CSV file.
+
+    ``columns`` maps our names to those of the file; as :class:`calib.measuring.Columns` it also says what is ignored,
+    and what angles mean. Raises MeasurementError as :func:`targets` does.
+    """
+    return targets(read_table(path, AS_WRITTEN if columns is None else columns), model, tool, in_order=in_order)
 
 
 def targets(table: Table, model: CalibratedMachine, tool: str = "tool", *, in_order: bool = False) -> Targets:
@@ -93,9 +115,7 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool", *, in_or
     }
     for name in columns:
         if name not in known:
-            near = nearest(name, sorted(known - columns.keys()))
-            near = near or "; allowed are joints, or x, y, z, with qw, qx, qy, qz of a pose, and what joint terms need"
-            raise MeasurementError(f"{where}: column {name!r} is not one of targets{near}.")
+            raise MeasurementError(f"{where}: column {name!r} {_unknown(name, sorted(known - columns.keys()))}.")
     posed = any(name in columns for name in (*position, *rotation))
     tools = cast(tuple[str, ...], columns["tool"].values) if "tool" in columns else (tool,) * len(table)
     if tool != ONLY_TOOL and set(tools) - {tool}:
@@ -128,6 +148,21 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool", *, in_or
         otherwise = "; targets in the order of their visits tell it, too: --in-order" if APPROACH in unsaid[1] else ""
         raise MeasurementError(f"{where}: {needs}{otherwise}.")
     return Targets(start, poses, tools, told, table)
+
+
+def _unknown(name: str, known: Sequence[str]) -> str:
+    """Return what is to be said of a column that targets do not have; ``known``: columns that they may have."""
+    if name in (*ANGLES, *MATRIX) and "qw" in known:
+        kinds = "matrix" if name in MATRIX else "rotation_vector, abc, wpr, rpy, or an order like ZYX or xyz"
+        return f"is of an orientation, and nothing says of which kind; --orientation does ({kinds})"
+    near = nearest(name, known) or (
+        "; allowed are joints, or x, y, z, with qw, qx, qy, qz of a pose, or its three angles rx, ry, rz "
+        "(--orientation), and what joint terms need"
+    )
+    return (
+        f"is not one of targets{near}; --column 'NAME={name}' reads it as the one that it is, and --ignore {name!r} "
+        "passes it over"
+    )
 
 
 @checked
@@ -231,9 +266,9 @@ def not_placed(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame) -
 def corrected_csv(model: CalibratedMachine, wanted: Targets, found: Corrections) -> str:
     """Return the table with corrected joints, in the units of its header, and what is expected of every row.
 
-    Joints that the table does not have come first, in deg and mm. New columns: ``remaining_error [mm]``, for poses
-    ``remaining_turn [mrad]``, ``reached`` (yes or no) and ``reason``. Joints of rows not reached are empty. Raises
-    MeasurementError for corrections of other rows, or of another arm.
+    Columns have the titles, units and angles of the table. Joints that it does not have come first, in deg and mm. New
+    columns: ``remaining_error [mm]``, for poses ``remaining_turn [mrad]``, ``reached`` (yes or no) and ``reason``.
+    Joints of rows not reached are empty. Raises MeasurementError for corrections of other rows, or of another arm.
     """
     shape, there = (len(wanted.table), len(model.robot.readings)), found.readings.shape
     if there != shape:
@@ -242,21 +277,19 @@ def corrected_csv(model: CalibratedMachine, wanted: Targets, found: Corrections)
     own = {reading.name: UNITS["deg" if reading.dimension == "angle" else "mm"] for reading in model.robot.readings}
     needed = _needed(model, wanted.tools)
     own = {name: unit for name, unit in own.items() if name in needed}
-    titles: dict[str, Unit | None] = {name: unit for name, unit in own.items() if name not in table.columns}
-    titles |= {name: column.unit for name, column in table.columns.items()}
+    added = [name for name in own if name not in table.columns]
     turned = not np.isnan(found.orientation_error).all()
-    header = [
-        name if unit is None or unit.symbol == "1" else f"{name} [{unit.symbol}]" for name, unit in titles.items()
-    ]
+    header = [f"{name} [{own[name].symbol}]" for name in added] + [column.title for column in table.written]
     # Column by column, and numbers as they are: of a table of many rows this is most of the work.
-    columns: list[Sequence[str]] = []
-    for name, unit in titles.items():
-        if name in joints:
-            columns.append(_numbers(found.readings[:, joints[name]] / cast(Unit, unit).factor, ".12g"))
-        elif unit is None:
-            columns.append([csv_cell(str(value)) for value in table.columns[name].values])
+    columns: list[Sequence[str]] = [
+        _numbers(found.readings[:, joints[name]] / own[name].factor, ".12g") for name in added
+    ]
+    for column in table.written:
+        if column.unit is None:
+            columns.append([csv_cell(str(value)) for value in column.values])
         else:
-            columns.append(_numbers(np.asarray(table.columns[name].values, dtype=np.float64) / unit.factor, ".12g"))
+            values = found.readings[:, joints[column.name]] if column.name in joints else cast(Array, column.values)
+            columns.append(_numbers(values / column.unit.factor, ".12g"))
     errors = ["remaining_error [mm]"]
     columns.append(_numbers(found.position_error / MM, ".6f"))
     if turned:

@@ -27,7 +27,7 @@ from calib.foundations.sealing import sealed
 from calib.foundations.units import NUMBER, UNITS, Unit, symbol_of
 from calib.foundations.words import near, shortened, shown
 from calib.measurement.cells import Line, cells, in_bytes, lines, refuse_ragged
-from calib.measurement.layout import is_number_of_name, layout, name_and_unit, nameless
+from calib.measurement.layout import is_number_of_name, layout, name_and_unit, nameless, with_units
 from calib.measurement.orientations import ANGLES, MATRIX, quaternions_of
 
 TEXT_COLUMNS = ("tool", "setup", "target", "group", "pair", "direction")
@@ -61,12 +61,14 @@ _IN_BRACKETS = re.compile(r"\[([^\[\]]*)\]")
 class Column:
     """A named column: N numbers in SI (read-only float64), or N words where ``unit`` is None.
 
-    ``unit`` is the one that was written, kept for its dimension; a quaternion's columns have the unit ``1``.
+    ``unit`` is the one that was written, kept for its dimension; a quaternion's columns have the unit ``1``. ``title``:
+    what stands above it in a table of text, with its unit; of a column by another name, what its table has there.
     """
 
     name: str
     unit: Unit | None
     values: Array | tuple[str, ...]
+    title: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,18 +77,20 @@ class Table:
     """Columns of N rows by name, in the order of the table.
 
     ``lines`` (N) says where each row stands in ``where``: the line of a file, or the position from 0 in a frame.
+    ``written``: the columns as they were read, with the angles, or matrix, of which an orientation made a quaternion.
     """
 
     columns: Mapping[str, Column]
     lines: IntArray
     where: str
+    written: tuple[Column, ...]
 
     def __len__(self) -> int:
         return len(self.lines)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Go to other processes and into copies, which no read-only view of a mapping does by itself."""
-        return _table, (dict(self.columns), self.lines, self.where)
+        return _table, (dict(self.columns), self.lines, self.where, self.written)
 
     def refuse(self, wrong: BoolArray, said: Callable[[int], str]) -> None:
         """Raise MeasurementError for the first row that is wrong (N,), with what is ``said`` of it."""
@@ -95,8 +99,8 @@ class Table:
             raise MeasurementError(f"{self.where}:{self.lines[row]}: {said(row)}")
 
 
-def _table(columns: dict[str, Column], numbers: IntArray, where: str) -> Table:
-    return Table(MappingProxyType(columns), numbers, where)
+def _table(columns: dict[str, Column], numbers: IntArray, where: str, written: tuple[Column, ...]) -> Table:
+    return Table(MappingProxyType(columns), numbers, where, written)
 
 
 @runtime_checkable
@@ -152,6 +156,7 @@ class _Heading(NamedTuple):
     unit: Unit | None
     called: str  # where something is wrong in it: as the file has it
     read: bool = True
+    title: str = ""  # of a column that is renamed: as the file has it, with a unit that the file has elsewhere
 
 
 _Place = Callable[[int], str]  # the place of a row, for the start of a sentence: "panda.csv:12"
@@ -319,10 +324,14 @@ def _whole(
     where: str,
     chosen: Columns,
 ) -> Table:
-    columns = {name: Column(name, unit, column) for (name, unit, *_), column in zip(header, values, strict=True)}
+    written = tuple(
+        Column(heading.name, heading.unit, column, heading.title or _title(heading.name, heading.unit))
+        for heading, column in zip(header, values, strict=True)
+    )
+    columns = {column.name: column for column in written}
     if chosen.orientation is not None and not (chosen.where_present and _lacking(chosen.orientation, columns)):
         columns = _turned(columns, chosen.orientation, numbers, where)
-    return _table(columns, read_only_view(numbers), where)
+    return _table(columns, read_only_view(numbers), where, written)
 
 
 def _titles(orientation: str) -> tuple[str, ...]:
@@ -339,7 +348,8 @@ def _turned(columns: dict[str, Column], orientation: str, lines: IntArray, where
     dimension = "number" if orientation == "matrix" else "angle"
     if missing := _lacking(orientation, columns):
         raise HeaderError(
-            f"{where}: orientation is {orientation!r}, and there is no column {', '.join(map(repr, missing))}."
+            f"{where}: orientation is {orientation!r}, and there is no column {', '.join(map(repr, missing))}; a "
+            f"column with another title is read as one by columns, or --column '{missing[0]}=TITLE'."
         )
     for name in names:
         unit = columns[name].unit
@@ -380,9 +390,10 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
                 left.pop(title.strip() if title.strip() in left else name)
                 header.append(_Heading(name, None, name, read=False))
                 continue
-            called = name
+            called, there = name, ""
             if (new := ours.pop(title.strip(), None) or ours.pop(name, None)) is not None:
                 called = title.strip()
+                (there,) = with_units([called], [units[k] if units else ""])
                 name, given = _split(new)
                 if symbol and given and symbol != given:
                     raise HeaderError(f"column {title!r} is renamed to {new!r}, which has another unit")
@@ -397,7 +408,7 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
             elif not symbol and not (holds_words(name) or name in UNITLESS):
                 unitless.append(name)
             else:
-                header.append(_Heading(name, _unit(name, symbol), called))
+                header.append(_Heading(name, _unit(name, symbol), called, title=there))
         except HeaderError as e:
             wrong.append(str(e))
     if unitless:
@@ -415,6 +426,10 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
     if wrong:
         raise HeaderError(f"{at}: {'; '.join(wrong[:_LISTED])}.", unitless)
     return header
+
+
+def _title(name: str, unit: Unit | None) -> str:
+    return name if unit is None or unit.symbol == "1" else f"{name} [{unit.symbol}]"
 
 
 def _named_by_place(titles: Sequence[str], known: Collection[str]) -> list[str]:

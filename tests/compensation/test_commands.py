@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+import pickle
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from calib.foundations.choices import PoseFrame
 from calib.foundations.errors import JobError, MeasurementError
 from calib.machine import grid
 from calib.machine.gaussian import GaussianResiduals, Kernel
-from calib.measurement.table import table_from_arrays
+from calib.measurement.table import Columns, table_from_arrays
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.kinematics import Kinematics
 from calib.robot.robot import TipModel
@@ -783,6 +784,114 @@ def test_positions_of_a_table_without_joints(tmp_path: Path) -> None:
     assert ",b,9000,0,0,7" in lines[2]
     there = (model.robot.tips(found.readings[:1], model.deviations) @ TOOLS["tool"])[0, :3, 3]
     assert np.abs(there - (0.6, 0.254, 0.4)).max() < 1e-6
+
+
+def of_scipy(angles: Array, orientation: str) -> Array:
+    """Rotations (N, 3, 3) of three angles in deg."""
+    if orientation == "rotation_vector":
+        return Rotation.from_rotvec(np.radians(angles)).as_matrix()
+    return Rotation.from_euler(
+        {"abc": "ZYX", "wpr": "xyz", "rpy": "xyz"}.get(orientation, orientation), angles, True
+    ).as_matrix()
+
+
+@pytest.mark.parametrize("orientation", ["rotation_vector", "abc", "wpr", "rpy", "ZYX", "xyz", "XYZ", "zyz"])
+def test_poses_with_three_angles_come_out_as_they_were_given(orientation: str, tmp_path: Path) -> None:
+    """A controller's titles, units and angles; where two axes fall together as well, and angles beyond half a turn."""
+    model, rng = model_of(robot_of("ur10")), np.random.default_rng(4)
+    readings = well_posed(model, draw(model.robot, 20))[:6]
+    xyz = 1e3 * (model.robot.tips(readings) @ TOOLS["tool"])[:, :3, 3]
+    angles = rng.uniform(-170.0, 170.0, (6, 3))
+    angles[:3] = [[30.0, 90.0, 20.0], [-100.0, 0.0, 40.0], [200.0, -90.0, -350.0]]
+    given = np.round(np.hstack([xyz, angles]), 6)
+    rows = [f"P{k};{';'.join(f'{v:.6f}' for v in row)};7".replace(".", ",") for k, row in enumerate(given)]
+    path = tmp_path / "targets.csv"
+    path.write_text("\n".join(["Name;X;Y;Z;A (deg);B (deg);C (deg);speed", *rows]) + "\n", encoding="utf-8")
+    names = {"group": "Name", **{f"{axis} [mm]": axis.upper() for axis in "xyz"}, "rx": "A", "ry": "B", "rz": "C (deg)"}
+    columns = Columns(names, ("speed",), orientation)
+    wanted = targets.read_targets(path, model, columns=columns)
+    assert wanted.poses is not None
+    np.testing.assert_allclose(wanted.poses[:, :3, :3], of_scipy(given[:, 3:], orientation), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(1e3 * wanted.poses[:, :3, 3], given[:, :3], rtol=0, atol=1e-9)
+
+    found = targets.corrections(model, wanted)
+    corrected = targets.corrected_csv(model, pickle.loads(pickle.dumps(wanted)), found)
+    lines = list(csv.reader(corrected.splitlines()))
+    assert lines[0][6:14] == ["Name", "X", "Y", "Z", "A (deg)", "B (deg)", "C (deg)", "remaining_error [mm]"]
+    assert [line[6] for line in lines[1:]] == [f"P{k}" for k in range(6)]
+    assert [[float(cell) for cell in line[7:13]] for line in lines[1:]] == given.tolist()
+    there = model.robot.tips(found.readings[found.reached], model.deviations) @ TOOLS["tool"]
+    assert np.abs(there[:, :3, :3] - of_scipy(given[found.reached, 3:], orientation)).max() < 1e-6
+
+    # What comes out is read as what came in.
+    (tmp_path / "corrected.csv").write_text(corrected, encoding="utf-8")
+    left = ("remaining_error", "remaining_turn", "reached", "reason", *(r.name for r in model.robot.readings))
+    again = targets.read_targets(tmp_path / "corrected.csv", model, columns=replace(columns, ignore=left))
+    assert again.poses is not None
+    np.testing.assert_allclose(again.poses, wanted.poses, rtol=0, atol=1e-12)
+
+
+def test_joints_by_other_titles_are_corrected_in_their_columns(tmp_path: Path) -> None:
+    model = model_of(robot_of("ur10"))
+    readings = draw(model.robot, 3)
+    path = tmp_path / "targets.csv"
+    rows = [",".join(f"{v:.9f}" for v in row) for row in np.degrees(readings)]
+    path.write_text("\n".join(["A1,A2,A3,A4,A5,A6", *rows]) + "\n", encoding="utf-8")
+    names = {f"{reading.name} [deg]": f"A{k + 1}" for k, reading in enumerate(model.robot.readings)}
+    wanted = targets.read_targets(path, model, columns=names)
+    found = targets.corrections(model, wanted)
+    lines = list(csv.reader(targets.corrected_csv(model, wanted, found).splitlines()))
+    assert lines[0][:7] == ["A1", "A2", "A3", "A4", "A5", "A6", "remaining_error [mm]"]
+    sent = np.array([line[:6] for line in lines[1:]], dtype=float)
+    assert np.abs(np.radians(sent) - found.readings).max() < 1e-10
+    assert np.abs(sent - np.degrees(readings)).max() > 1e-2
+
+
+def test_a_matrix_and_units_below_titles_come_out_as_they_were_given(tmp_path: Path) -> None:
+    model = model_of(robot_of("ur10"))
+    T = model.predict(well_posed(model, draw(model.robot, 1)))[0]
+    path = tmp_path / "targets.csv"
+    cells = [*(f"{v:.9f}" for v in T[:3, :3].ravel()), *(f"{v:.6f}" for v in 1e3 * T[:3, 3])]
+    path.write_text(
+        ",".join(f"r{i}{j}" for i in "123" for j in "123") + f",X,Y,Z\n{',' * 9}mm,mm,mm\n{','.join(cells)}\n"
+    )
+    columns = Columns({"x": "X", "y": "Y", "z": "Z"}, orientation="matrix")
+    wanted = targets.read_targets(path, model, columns=columns)
+    assert wanted.poses is not None
+    np.testing.assert_allclose(wanted.poses[0], T, rtol=0, atol=1e-8)
+    head, line = targets.corrected_csv(
+        model, wanted, targets.corrections(model, wanted, frame="instrument")
+    ).splitlines()
+    assert ",r11,r12,r13,r21,r22,r23,r31,r32,r33,X [mm],Y [mm],Z [mm],remaining_error" in head
+    assert [float(cell) for cell in line.split(",")[6:18]] == [float(cell) for cell in cells]
+
+
+@pytest.mark.parametrize(
+    ("title", "columns", "said"),
+    [
+        ("rx", {}, "column 'rx' is of an orientation, and nothing says of which kind; --orientation does "
+                   "(rotation_vector, abc, wpr, rpy, or an order like ZYX or xyz)."),
+        ("A", {}, "column 'A' is not one of targets; allowed are joints, or x, y, z, with qw, qx, qy, qz of a pose, or "
+                  "its three angles rx, ry, rz (--orientation), and what joint terms need; --column 'NAME=A' reads it "
+                  "as the one that it is, and --ignore 'A' passes it over."),
+        ("A", {"orientation": "abc"}, "orientation is 'abc', and there is no column 'rx'; a column with another title "
+                                      "is read as one by columns, or --column 'rx=TITLE'."),
+        *(
+            ("rx", {"orientation": order}, f"orientation {order!r} is not known; allowed are rotation_vector, matrix, ")
+            for order in ("kuka", "ZZX", "zyX", "ZY", "")
+        ),
+        ("A", {"names": {"rx": "D"}}, "there is no column 'D' to read as 'rx'."),
+        ("rx", {"ignore": ("speed",), "orientation": "rpy"}, "there is no column 'speed' to ignore."),
+    ],
+)  # fmt: skip
+def test_angles_that_nothing_explains_are_refused(
+    title: str, columns: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "targets.csv"
+    path.write_text(f"x [mm],y [mm],z [mm],{title} [deg],ry [deg],rz [deg]\n600,100,400,1,2,3\n", encoding="utf-8")
+    with pytest.raises(MeasurementError) as e:
+        targets.read_targets(path, model_of(robot_of("ur10")), columns=Columns(**columns))
+    assert said in str(e.value)
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,9 @@ def test_every_public_name_is_in_the_reference() -> None:
     assert not missing
 
 
-@pytest.mark.parametrize("module", [calib.commands, calib.judging, calib.measuring, calib.planning, calib.positioner])
+@pytest.mark.parametrize(
+    "module", [calib.commands, calib.dh, calib.judging, calib.measuring, calib.planning, calib.positioner]
+)
 def test_every_function_of_a_public_module_is_in_the_reference(module: ModuleType) -> None:
     described = [resolved(name) for name in DESCRIBED]
     for page in (ROOT / "docs" / "api").glob("*.md"):
