@@ -155,9 +155,9 @@ def _unknown(name: str, known: Sequence[str]) -> str:
     if name in (*ANGLES, *MATRIX) and "qw" in known:
         kinds = "matrix" if name in MATRIX else "rotation_vector, abc, wpr, rpy, or an order like ZYX or xyz"
         return f"is of an orientation, and nothing says of which kind; --orientation does ({kinds})"
+    angles = ", or its three angles rx, ry, rz (--orientation)" if "qw" in known else ""
     near = nearest(name, known) or (
-        "; allowed are joints, or x, y, z, with qw, qx, qy, qz of a pose, or its three angles rx, ry, rz "
-        "(--orientation), and what joint terms need"
+        f"; allowed are joints, or x, y, z, with qw, qx, qy, qz of a pose{angles}, and what joint terms need"
     )
     return (
         f"is not one of targets{near}; --column 'NAME={name}' reads it as the one that it is, and --ignore {name!r} "

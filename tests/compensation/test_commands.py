@@ -880,6 +880,7 @@ def test_a_matrix_and_units_below_titles_come_out_as_they_were_given(tmp_path: P
             ("rx", {"orientation": order}, f"orientation {order!r} is not known; allowed are rotation_vector, matrix, ")
             for order in ("kuka", "ZZX", "zyX", "ZY", "")
         ),
+        ("rx", {"names": {"qw": "ry"}}, "qw, qx, qy, qz of a pose, and what joint terms need; --column 'NAME=rx' "),
         ("A", {"names": {"rx": "D"}}, "there is no column 'D' to read as 'rx'."),
         ("rx", {"ignore": ("speed",), "orientation": "rpy"}, "there is no column 'speed' to ignore."),
     ],
