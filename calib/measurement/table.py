@@ -7,6 +7,7 @@ here on; which joints and tools they belong to is decided in :mod:`calib.measure
 import contextlib
 import itertools
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral
@@ -129,9 +130,9 @@ class Columns:
 
     ``names``: ``{"x": "measurement_x"}`` reads the file's column ``measurement_x`` as ``x``, and
     ``{"x [mm]": "measurement_x"}`` also gives it the unit that the file leaves out. ``ignore``: columns, as the file
-    has them, that are not read. ``orientation``: what the columns ``rx``, ``ry``, ``rz``, or ``r11`` to ``r33``, are
-    (docs/files_of_others.md); they become a quaternion. ``where_present``: columns that a table lacks of
-    these are no error.
+    has them, that are not read; of a title that stands twice, the first, and both where it is given twice.
+    ``orientation``: what the columns ``rx``, ``ry``, ``rz``, or ``r11`` to ``r33``, are (docs/files_of_others.md); they
+    become a quaternion. ``where_present``: columns that a table lacks of these are no error.
     """
 
     names: Mapping[str, str] = field(default_factory=lambda: NO_NAMES, hash=False)
@@ -376,7 +377,7 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
         raise HeaderError(f"{at}: the renaming gives one column two names: {dict(columns.names)}.")
     if len(titles) > _MOST_COLUMNS:
         raise HeaderError(f"{at}: has {len(titles)} columns; allowed are {_MOST_COLUMNS}.")
-    left = dict.fromkeys(columns.ignore)
+    left = Counter(columns.ignore)
     header: list[_Heading] = []
     names: set[str] = set()
     wrong: list[str] = []
@@ -387,7 +388,7 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
             name, symbol = _split(title, (*left, *ours))
             symbol = symbol or (units[k] if units else "") or symbol
             if title.strip() in left or name in left:
-                left.pop(title.strip() if title.strip() in left else name)
+                left -= Counter([title.strip() if title.strip() in left else name])
                 header.append(_Heading(name, None, name, read=False))
                 continue
             called, there = name, ""
@@ -422,7 +423,11 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
         wrong += [
             f"there is no column {theirs!r} to read as {ours[theirs]!r}{nearest(theirs, titles)}" for theirs in ours
         ]
-        wrong += [f"there is no column {name!r} to ignore{nearest(name, titles)}" for name in left]
+        wrong += [
+            f"there is no column {name!r} to ignore{nearest(name, titles)}"
+            for name, many in left.items()
+            if many == columns.ignore.count(name)
+        ]
     if wrong:
         raise HeaderError(f"{at}: {'; '.join(wrong[:_LISTED])}.", unitless)
     return header

@@ -148,6 +148,16 @@ def test_columns_are_passed_over_when_they_are_named(tmp_path: Path) -> None:
     assert table.columns["x"].values.tolist() == [1e-3, 2e-3]
 
 
+def test_a_title_that_stands_twice_is_passed_over_as_often_as_it_is_named(tmp_path: Path) -> None:
+    """The second was refused, with the advice to ignore what was ignored already."""
+    path = write(tmp_path, "x [mm],N,N\n1,2,3\n")
+    assert list(read_table(path, Columns(ignore=("N", "N"))).columns) == ["x"]
+    with pytest.raises(MeasurementError, match="column 'N' has no unit"):
+        read_table(path, Columns(ignore=("N",)))
+    once = write(tmp_path, "x [mm],N\n1,2\n")
+    assert list(read_table(once, Columns(ignore=("N", "N"))).columns) == ["x"]
+
+
 @pytest.mark.parametrize("title", ["[mm]", " [deg] ", "x [mm] [deg]", "n" * 300])
 def test_a_column_that_is_no_name_with_a_unit_can_be_passed_over_or_named(title: str, tmp_path: Path) -> None:
     """It was said not to be there, with the advice to ignore it."""
