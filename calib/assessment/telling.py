@@ -24,7 +24,7 @@ def most_telling(model: ErrorModel, data: Measurements, count: int) -> Measureme
 
         few = calib.planning.most_telling(model, stream, 500)
 
-    D-optimal, one row after another (:mod:`calib.assessment.design`), of 3000 evenly spread ones: rows that follow each
+    D-optimal, one row after another (``calib.assessment.design``), of 3000 evenly spread ones: rows that follow each
     other are alike. Clocks are parameters too: fast rows tell them. Raises JobError when more rows are asked for than
     there are, MeasurementError as :func:`calib.identify` does.
     """

@@ -70,7 +70,7 @@ def calibrated_cell(
     ``arm``: the folder of the arm's results, or a URDF that is calibrated already. ``positioner``: the folder of
     results. ``placed_in``: whose frame its base was found in: "arm", because the arm touched it, or "instrument", one
     that both were calibrated with; when None as the folder says, and the arm's where it does not. ``prefix``: as in
-    :func:`calib.robot.cell.compose`. ``setup``: in which set-up they stand in the cell, where a folder has several.
+    ``calib.robot.cell.compose``. ``setup``: in which set-up they stand in the cell, where a folder has several.
 
     Raises JobError when a URDF is to be placed in an instrument's frame, and for a ``placed_in`` that is not as a
     folder says, OutputError when a folder holds no readable
