@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from calib.robot import dh
+from calib import dh
 from tests.support.cases import JOB, copy_case, edit, run, tree
 
 DOCS = (Path(__file__).resolve().parents[1] / "docs" / "controllers.md").read_text(encoding="utf-8")

@@ -28,7 +28,9 @@ def dh(
     with loading():
         from calib.foundations.errors import JobError
         from calib.foundations.files import refuse_taken, write_new
-        from calib.robot import dh as dh_of
+        from calib.robot.dh.files import read_dh, write_dh
+        from calib.robot.dh.frames import dh_of
+        from calib.robot.dh.to_urdf import dh_to_urdf
         from calib.robot.load import load_robot
     kinds = {source.suffix.lower(), out.suffix.lower()}
     if kinds != {".csv", ".urdf"}:
@@ -37,11 +39,11 @@ def dh(
     if out.suffix.lower() == ".urdf":
         if tip is not None or base is not None:
             raise JobError(f"{source}: a DH table names no links, so that --tip and --base are left out.")
-        table = dh_of.read_dh(source, convention)
-        write_new(out, dh_of.dh_to_urdf(table, out.stem))
+        table = read_dh(source, convention)
+        write_new(out, dh_to_urdf(table, out.stem))
     else:
-        table = dh_of.dh_of(load_robot(source, tip, base), convention or "standard")
-        write_new(out, dh_of.write_dh(table))
+        table = dh_of(load_robot(source, tip, base), convention or "standard")
+        write_new(out, write_dh(table))
     telling.tell(
         lambda: {"file": str(out), **table.contents()},
         lambda: [f"{counted(len(table.rows), 'row')}, {table.convention} convention; the file is {out}."],

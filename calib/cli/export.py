@@ -41,7 +41,7 @@ def export(
         from calib.presentation.console import warning
         from calib.results.folder import DH_FILE
         from calib.results.result_file import doubts_of
-        from calib.robot import dh
+        from calib.robot.dh.files import read_dh
     refuse_taken(out)
     with reading_folder(results):
         model = load_machine(results)
@@ -51,7 +51,7 @@ def export(
         model = model if tool is None else model.of(tool)
         corrected = results / DH_FILE
         doubts = doubts_of(results)
-        table = dh.read_dh(corrected) if to == "dh" and corrected.is_file() else None
+        table = read_dh(corrected) if to == "dh" and corrected.is_file() else None
     try:
         found = exported(model, to, table)
     except CalibError as e:

@@ -24,7 +24,7 @@ from calib.job.read import read_job
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import ONLY_SETUP
 from calib.robot.deviation import axis_frame
-from calib.robot.dh import Free
+from calib.robot.dh.free import Free
 from calib.robot.gravity import Load, Payload
 from calib.robot.load import load_robot
 from calib.robot.robot import ClosedLoop, Coupling, Robot

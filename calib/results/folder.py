@@ -53,7 +53,7 @@ from calib.results.calibration import Calibration, InUrdf, assess, versions
 from calib.results.report import report_of
 from calib.results.result_file import RESULT_FILE
 from calib.results.scene import scene_of
-from calib.robot import dh
+from calib.robot.dh.files import write_dh
 from calib.robot.sources import usual_mesh_roots
 
 JOB_FILE = "job.json"
@@ -360,6 +360,6 @@ def _dh_table(fit: Fit) -> dict[str, str]:
     if fit.model.dh is None:
         return {}
     try:
-        return {DH_FILE: dh.write_dh(corrected_dh(fit.model, fit.machine.deviations))}
+        return {DH_FILE: write_dh(corrected_dh(fit.model, fit.machine.deviations))}
     except (JobError, RobotError):
         return {}

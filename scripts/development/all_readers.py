@@ -22,6 +22,7 @@ import numpy as np
 
 import calib
 from calib.compensation.controllers.ur_own import with_ur_kinematics
+from calib.dh import dh_to_urdf, parse_dh
 from calib.foundations.errors import CalibError, MeasurementError
 from calib.foundations.files import read_bytes
 from calib.job.chains import chains
@@ -38,7 +39,6 @@ from calib.measurement.raw import raw_table
 from calib.measurement.table import read_table
 from calib.measurement.touches import touches
 from calib.presentation.visuals import visuals
-from calib.robot.dh import dh_to_urdf, parse_dh
 from calib.robot.load import load_robot
 from calib.robot.mesh_files import parse_mesh
 from calib.robot.robot import Reading

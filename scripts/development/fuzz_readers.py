@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from scipy.io import savemat
 
+from calib import dh
 from calib.assessment.iso9283 import figures
 from calib.compensation.controllers.ur_own import with_ur_kinematics
 from calib.compensation.targets import targets
@@ -54,7 +55,6 @@ from calib.presentation.visuals import visuals
 from calib.results.calibration import Calibration
 from calib.results.folder import result
 from calib.results.result_file import robot_errors
-from calib.robot import dh
 from calib.robot.collision import self_collision
 from calib.robot.conditions import ordinary
 from calib.robot.load import load_robot

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 import calib
+from calib import dh
 from calib.compensation.controllers import LeftOut, export_dh, export_offsets, export_ros, export_ur
 from calib.compensation.controllers.export import judged_readings
 from calib.compensation.controllers.offsets import read_offsets
@@ -15,7 +16,6 @@ from calib.compensation.controllers.yaml_text import read_yaml, yaml_text
 from calib.foundations.errors import OutputError, RobotError
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.grid import SectorGrid
-from calib.robot import dh
 from calib.robot.conditions import Conditions
 from calib.robot.gravity import Load, Payload
 from calib.robot.terms import JointTerm

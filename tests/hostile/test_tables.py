@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib import dh
 from calib.foundations.errors import MeasurementError, RobotError
 from calib.job.inputs import load
 from calib.job.run import run as calibrate
 from calib.measurement.table import Table, read_table
 from calib.results.folder import residual_table, result_json
-from calib.robot import dh
 from tests.support.cases import CASE, JOB, ROOT
 
 HEADER = "joint_1 [deg], x [mm], tool\n"

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 import calib
+from calib import dh
+from calib.dh import DhRow, DhTable
 from calib.foundations.errors import JobError
 from calib.identification.error_model import corrected_dh
 from calib.identification.machine import Frames, machine
 from calib.identification.observability import Observability, observability
 from calib.identification.system import Problem
 from calib.machine.urdf import calibrated_urdf
-from calib.robot import dh
-from calib.robot.dh import DhRow, DhTable
 from calib.robot.urdf import parse_urdf
 from tests.support import jacobians, machines
 from tests.support.dh_tables import CONVENTIONS, product, random_table, robot_of

@@ -9,10 +9,10 @@ import yourdfpy
 from numpy.typing import NDArray
 
 import calib
+from calib import dh
+from calib.dh import DhRow, DhTable
 from calib.foundations.choices import Convention
 from calib.foundations.errors import RobotError
-from calib.robot import dh
-from calib.robot.dh import DhRow, DhTable
 from calib.robot.urdf import parse_urdf
 from tests.support import machines
 from tests.support.dh_tables import CONVENTIONS, QUARTER, product, random_table, robot_of

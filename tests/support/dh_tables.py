@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import calib
-from calib.robot import dh
-from calib.robot.dh import DhRow, DhTable
+from calib import dh
+from calib.dh import DhRow, DhTable
 from calib.robot.urdf import parse_urdf
 from tests.support import machines
 
