@@ -24,7 +24,7 @@ from calib.identification.initialisation.problem import with_common_names
 from calib.identification.system import Problem
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.tool_uncertainty import common_errors
-from calib.measurement.measurements import Measurements
+from calib.measurement.measurements import Measurements, reach_of
 
 # Sound tables, also of dense paths whose model error is common to neighbours, lose up to a third of their error when
 # they are moved as a whole; where a base was moved, it was several times what is left.
@@ -68,7 +68,7 @@ def tables_with_own_base(
 ) -> tuple[OwnBase, ...]:
     """Return the tables that ask for a base of their own, one entry for each."""
     placed = [one for one in sets if one.data.position is not None]
-    reach = max((one.data.reach(model.robot) for one in placed), default=0.0)
+    reach = reach_of(model.robot, (one.data for one in placed))
     found = [
         *own_bases(((one.file, one.data.position, one.after[:, :3], _unsure(machine, one)) for one in placed), reach),
         *far_apart(model, ((one.file, one.data, one.before[:, :3]) for one in placed)),

@@ -100,7 +100,8 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     problem = Problem(fit.model, every, frames, fit.measurements, held, relations, fit.losses, together=fit.together)
     split = _split(fit, problem)
     x = values_at(fit.model.robot, every, frames, held)
-    at, sigmas = problem.machine(x), _sigmas(fit, problem)
+    plain = weights.sigmas_of(problem, fit.variances, search=True)
+    at, sigmas = problem.machine(x), _sigmas(fit, problem, plain)
     waves, wind_up = usual_waves(fit.robot, identified), usual_wind_up(fit.robot)
     of_readings = ReadingErrors(fit.robot, waves, wind_up)
     systematic = Systematic(problem, at, sigmas, of_readings, scales(every), split)
@@ -124,7 +125,7 @@ def _errors_by_cause(fit: Fit, identified: Array) -> ErrorsByCause:
     sized = _sized(waves, wind_up)
     drifts = m - of_readings.many
     component = [one.component for one in levels]
-    instrument, lessened = _instrument(fit, problem)[component], _lessened(problem)[component]
+    instrument, lessened = _instrument(problem, plain)[component], _lessened(problem)[component]
     taught = _Taught(
         _by_level(data[:, p:] - solved.J @ (from_data @ data[:, p:]), ends, level, scale),
         np.array([max(one.freedom, 1.0) for one in levels]),
@@ -346,9 +347,8 @@ def _solved(parameters: Sequence[Parameter], relations: Array, data: Array, free
     return _Solved(J, from_data, from_relations, np.hstack([from_priors, held]))
 
 
-def _instrument(fit: Fit, problem: Problem) -> Array:
+def _instrument(problem: Problem, sigmas: tuple[Array, ...]) -> Array:
     """Return the rms of the instrument's noise (c,) in every component, as a share of what ordinary rows scatter by."""
-    sigmas = weights.sigmas_of(problem, fit.variances, search=True)
     shares = [data.sigma / sigma for data, sigma in zip(problem.measurements, sigmas, strict=True)]
     return np.array([np.sqrt(np.mean(shares[c.measurements][:, c.columns] ** 2)) for c in problem.components])
 
@@ -411,11 +411,14 @@ def _learned(taught: _Taught, as_one: Callable[[Array], Array]) -> tuple[_Learne
     return (taught.sizes(counted), counted) if np.any(counted > 1.0) else (learned, rows_as_one)
 
 
-def _sigmas(fit: Fit, problem: Problem) -> tuple[Array, ...]:
-    """Return the standard deviations (N, d) of every set, by which no row that lies off tells more than others do."""
-    found = weights.sigmas_of(problem, fit.variances, fit.residuals, search=True)
+def _sigmas(fit: Fit, problem: Problem, plain: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Return the standard deviations (N, d) of every set, by which no row that lies off tells more than others do.
+
+    ``plain``: those of ordinary rows.
+    """
     if not problem.robust:
-        return found
+        return plain
+    found = weights.sigmas_of(problem, fit.variances, fit.residuals, search=True)
     far = [np.sqrt(np.mean((r / sigma) ** 2, axis=1)) for r, sigma in zip(fit.residuals, found, strict=True)]
     return tuple(sigma * np.where(t > _FAR, t, 1.0)[:, None] for sigma, t in zip(found, far, strict=True))
 

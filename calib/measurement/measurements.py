@@ -350,7 +350,7 @@ _Rows = TypeVar("_Rows", "End", "Measurements")
 
 def reach_of(robot: Robot, sets: Iterable[Measurements]) -> float:
     """Return an upper bound in m of how far the tip was from the base in several sets."""
-    return max(data.reach(robot) for data in sets)
+    return max((data.reach(robot) for data in sets), default=0.0)
 
 
 def _of_rows(whole: _Rows, rows: IntArray) -> _Rows:
