@@ -20,7 +20,7 @@ from calib.assessment.validation import CrossValidation, HeldOut, cross_validate
 from calib.identification.observability import Observability, observability
 from calib.identification.total_differential import Trace, total_differential
 from calib.job.assumed_errors import read_errors
-from calib.machine.identified import outside_identified
+from calib.machine.identified import not_placed, outside_identified
 from calib.machine.tool_uncertainty import tool_uncertainty, uncertainty_map
 from calib.measurement.cycles import read_cycles
 from calib.measurement.touches import Touches, read_touches
@@ -49,6 +49,7 @@ __all__ = [
     "group_study",
     "iso9283_figures",
     "nested_models",
+    "not_placed",
     "observability",
     "outliers",
     "outside_identified",

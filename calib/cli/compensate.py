@@ -71,7 +71,7 @@ def compensate(
         model = model.standing(setup, str(results)) if matters else model.at(setup)
         idle = (
             *doubts_of(results),
-            *targets_of.not_placed(model, wanted, frame=frame),
+            *targets_of.in_base(model, wanted, frame=frame),
             *targets_of.idle(model, wanted, frame=frame, clamp=clamp),
         )
         say("correcting")

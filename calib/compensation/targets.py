@@ -17,12 +17,11 @@ from calib.foundations.brief import brief
 from calib.foundations.choices import PoseFrame, What
 from calib.foundations.csv_text import csv_cell, csv_text
 from calib.foundations.errors import MeasurementError
-from calib.foundations.linear import svd
 from calib.foundations.sealing import sealed
 from calib.foundations.units import MM, MRAD, UNITS, Dimension
 from calib.foundations.words import not_calibrated, refuse_other
-from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine
+from calib.machine.identified import not_placed
 from calib.measurement.columns import filled, orientations, stacked
 from calib.measurement.conditions import conditions, sided_columns
 from calib.measurement.measurements import ONLY_TOOL
@@ -43,9 +42,6 @@ from calib.robot.transmission import lacking
 
 # Numbers of a pose.
 _OF_A_POSE = 6
-# In m, for deviations of one millimetre and milliradian: a tool point that the null space moves by more on its link has
-# no place in the base link, as the height of a tool that turned about the vertical alone. Of others it is a millimetre.
-_NOT_PLACED = 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,6 +210,7 @@ def corrections(
         elif wanted.poses is not None:
             other: PoseFrame = "instrument" if frame == "base" else "base"
             hint = f" They are taken to be in the frame of the {frame}; --frame {other} takes them in the other one."
+        hint = " ".join((hint, *in_base(model, wanted, frame=frame)))
         raise MeasurementError(
             f"{table.where}: none of the {len(found)} targets can be reached; that of line {table.lines[0]}: "
             f"{found.reasons[0]}.{hint}"
@@ -238,28 +235,9 @@ def idle(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame, clamp: 
     return tuple(said)
 
 
-def not_placed(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame) -> tuple[str, ...]:
-    """Return what is to be said of tools whose targets are in the base link, where data leave open where the tool is.
-
-    The base then took up what the tool's place may be off, so that in the instrument's frame predictions hold.
-    """
-    if wanted.poses is None or frame != "base" or model.uncertainty is None:
-        return ()
-    layout, basis, said = model.layout, model.uncertainty.null_basis, []
-    _, small, Vt = svd(basis[: layout.base] / DEFAULT_SIGMA)
-    least = Vt.T / np.maximum(small, DEFAULT_SIGMA**2)
-    for k, name in enumerate(model.tools):
-        first = layout.tools + _OF_A_POSE * k
-        axes, far, _ = svd(basis[first : first + 3] @ least)
-        if name in wanted.tools and far.max(initial=0.0) > _NOT_PLACED:
-            along = np.round(axes[:, 0] * np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0]), 2) + 0.0
-            listed = ", ".join(f"{x:g}" for x in along)
-            said.append(
-                f"What was measured does not tell where {name!r} is on its link along ({listed}): by what it is off "
-                'there, targets in the base link are missed. State the tool in the job (tool = "fixed") and calibrate '
-                "again, or give targets in the instrument's frame (--frame instrument)."
-            )
-    return tuple(said)
+def in_base(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame) -> tuple[str, ...]:
+    """Return what is to be said of tools whose targets are in the base link, where the data do not place them there."""
+    return not_placed(model, wanted.tools) if wanted.poses is not None and frame == "base" else ()
 
 
 @checked

@@ -1,16 +1,18 @@
-"""The identified range of a machine: of its readings, and of what its terms follow beside them.
+"""What data leave open of a machine: what is beyond the identified range, and where its tools are on their links.
 
 A model is only proven where it was measured.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
+from calib.foundations.linear import svd
 from calib.foundations.units import DISPLAY_OF
+from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine, readings_of
 from calib.machine.turns import turned_towards
 from calib.measurement.measurements import End
@@ -23,6 +25,11 @@ from calib.robot.terms.kind import TEMPERATURE
 _SLACK, _ROUNDING = 0.05, 1e-9
 # The units in which conditions are told; the same ones are kept.
 _UNITS = {"temperature": "degC", "payload": "kg"}
+# Numbers of a placement.
+_OF_A_POSE = 6
+# In m, for deviations of one millimetre and milliradian: a tool point that the null space moves by more on its link has
+# no place in the base link, as the height of a tool that turned about the vertical alone. Of others it is a millimetre.
+_NOT_PLACED = 0.03
 
 
 def condition_ranges(robot: Robot, ends: Iterable[End]) -> dict[str, tuple[float, float]]:
@@ -102,3 +109,31 @@ def _outside(name: str, values: Array, ends: tuple[float, float], told: Array, u
         f"{name} is outside the range it was identified in, {span} {unit}, in {np.count_nonzero(beyond > 0.0)} of "
         f"{len(values)} rows; the farthest is {told[worst]:.4g} {unit}."
     )
+
+
+@checked
+def not_placed(machine: CalibratedMachine, tool: str | Sequence[str] = "tool") -> tuple[str, ...]:
+    """Return a sentence for every one of these tools whose place on its link the data leave open.
+
+    As the height of a tool that only turned about the vertical. The base took up what that is off, so that predictions
+    hold in the instrument's frame, and poses and positions in the base link are missed by it. Nothing is said of a
+    machine without an uncertainty. Raises MeasurementError when there is no tool of a name.
+    """
+    wanted = {machine.tool_named(name) for name in ((tool,) if isinstance(tool, str) else tool)}
+    if machine.uncertainty is None:
+        return ()
+    layout, basis, said = machine.layout, machine.uncertainty.null_basis, []
+    _, small, Vt = svd(basis[: layout.base] / DEFAULT_SIGMA)
+    least = Vt.T / np.maximum(small, DEFAULT_SIGMA**2)
+    for k, name in enumerate(machine.tools):
+        first = layout.tools + _OF_A_POSE * k
+        axes, far, _ = svd(basis[first : first + 3] @ least)
+        if name in wanted and far.max(initial=0.0) > _NOT_PLACED:
+            along = np.round(axes[:, 0] * np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0]), 2) + 0.0
+            listed = ", ".join(f"{x:g}" for x in along)
+            said.append(
+                f"What was measured does not tell where {name!r} is on its link along ({listed}): by what it is off "
+                'there, targets in the base link are missed. State the tool in the job (tool = "fixed") and calibrate '
+                'again, or give targets in the frame of the instrument (frame = "instrument", --frame instrument).'
+            )
+    return tuple(said)

@@ -1008,6 +1008,11 @@ def test_targets_in_the_base_link_of_a_tool_whose_height_nothing_told(
     machine = calib.machine_of(calib.identify(model, data))
     aims = {f"{axis} [m]": [x, x] for axis, x in zip("xyz", (0.4, 0.2, 0.3), strict=True)}
     wanted = targets.targets(table_from_arrays(aims), machine)
-    notes = targets.not_placed(machine, wanted, frame=frame)
+    notes = targets.in_base(machine, wanted, frame=frame)
     assert len(notes) == said
+    assert len(calib.judging.not_placed(machine)) == (said or frame == "instrument")
+    far = targets.targets(table_from_arrays({title: [9.0] for title in aims}), machine)
+    with pytest.raises(calib.MeasurementError, match="none of the 1 targets can be reached") as refused:
+        targets.corrections(machine, far, frame=frame)
+    assert all(note in str(refused.value) for note in notes)
     assert all("where 'tool' is on its link along (0, 0, 1)" in note for note in notes)

@@ -65,7 +65,8 @@ WALKED = {
         "advice",
         "data_frame",
     ),
-    *("outliers", "outside_identified", "plot", "table", "tool_uncertainty", "uncertainty_map", "machine_of"),
+    *("outliers", "not_placed", "outside_identified"),
+    *("plot", "table", "tool_uncertainty", "uncertainty_map", "machine_of"),
     *("write_urdf", "commands", "judging"),
     *("assess", "check", "hold_out", "report", "save", "scene"),
 }
@@ -215,6 +216,7 @@ def is_uncertain(walked: Walked, folder: Path) -> None:
     assert np.isfinite(found.position).all() and (found.position > 0.0).all()
     calib.judging.uncertainty_map(calib.machine_of(walked.outcome.fit), 5, tool=tool)
     calib.judging.outside_identified(u, 5.0 * q)
+    calib.judging.not_placed(u, tool)
 
 
 def is_commanded(walked: Walked, folder: Path) -> None:
