@@ -3,12 +3,13 @@
 A few rows that lie far off, a length that is stated wrong, of rows or between targets, and a prior that holds the arm
 where it is not, bend a whole fit: what is left then looks like a base or a target that moved, and checks that are made
 for those say so. So a fit that is doubted is tried once with such rows passed over, by a robust loss, once with lengths
-that are stated free, each of its own, once without what is stated between targets, and once without the priors that
-are stated. A cause is named where it brings the scatter to half or less, of rows held out as well, and all checks of
-what else may be wrong then pass; of several, that which leaves least. What is stated between targets is a cause where
-rows miss it by more than chance. Rows that lie far off, all by one motion of base, tool or a joint, are no such rows:
-something moved. A row that is held out may be one as well: it bends nothing, but what is left of all held out is then
-nearly its own.
+that are stated free, each of its own, once without what is stated between targets, and once without the priors that are
+stated. This last one is tried where nothing is doubted, too, if more is left than the instrument has: what a prior that
+is far too narrow leaves is taken for noise, under which rows do not contradict the prior. A cause is named where it
+brings the scatter to half or less, of rows held out as well, and all checks of what else may be wrong then pass; of
+several, that which leaves least. What is stated between targets is a cause where rows miss it by more than chance. Rows
+that lie far off, all by one motion of base, tool or a joint, are no such rows: something moved. A row that is held out
+may be one as well: it bends nothing, but what is left of all held out is then nearly its own.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -60,8 +61,8 @@ class Cause(NamedTuple):
     left: float
 
 
-def causes(fit: Fit, sets: Sequence[JudgedSet]) -> tuple[Cause, ...]:
-    """Return what may explain what a doubted fit leaves, the one that leaves least first.
+def causes(fit: Fit, sets: Sequence[JudgedSet], *, doubted: bool) -> tuple[Cause, ...]:
+    """Return what may explain what a fit leaves, the one that leaves least first; priors alone if it is not doubted.
 
     Nothing of a fit of other rows than these sets are, of levels; of very many rows or parameters, or where the search
     was long.
@@ -75,11 +76,9 @@ def causes(fit: Fit, sets: Sequence[JudgedSet]) -> tuple[Cause, ...]:
         or [len(one.data) for one in own] != [len(data) for data in fit.measurements]
     ):
         return ()
-    found = [
-        one
-        for find in (_passed_over, _other_lengths, _other_relations, _without_priors)
-        if (one := find(fit, sets)) is not None
-    ]
+    every = (_passed_over, _other_lengths, _other_relations, _without_priors)
+    tried = every if doubted else (_without_priors,) if _is_more_left(fit) else ()
+    found = [one for find in tried if (one := find(fit, sets)) is not None]
     return tuple(sorted(found, key=lambda one: one.left))
 
 
@@ -334,6 +333,11 @@ def _relation_said(relation: Relation, missed: float) -> str:
 # ---- priors that hold the arm where it is not
 
 
+def _is_more_left(fit: Fit) -> bool:
+    """Return whether a cause may bring the scatter down as far as is asked for, or nothing is known of the noise."""
+    return any(not noise.chi_square * LEAST_LEFT**2 < 1.0 for noise in fit.noise)
+
+
 def _without_priors(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
     """Return what is left if the arm may be as far from its URDF as the data say, whatever priors are stated."""
     held = [p for p in fit.parameters if p.of_robot and p.is_stated]
@@ -355,12 +359,19 @@ def _without_priors(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
     for use in {one.use for one in sets}:
         pairs = [(new, old) for new, old in zip(judged, sets, strict=True) if old.use == use]
         now, before = (sum(float(np.sum((pair[k].after / _scales(pair[0])) ** 2)) for pair in pairs) for k in (0, 1))
-        share = max(share, now / max(before, 1e-300))
+        # Rows that are fitted lose a part of what is left to numbers that are free.
+        spent = _freedom(fit) / max(_freedom(found), 1e-300) if use == "identification" else 1.0
+        share = max(share, spent * now / max(before, 1e-300))
     if share > LEAST_LEFT**2:
         return None
     value_of = dict(zip((p.name for p in found.parameters), found.values, strict=True))
     farthest = max(held, key=lambda p: abs(value_of.get(p.name, 0.0)) / (p.prior or 1.0))
     return Cause(_priors_said(farthest, value_of[farthest.name]), found, judged, share)
+
+
+def _freedom(fit: Fit) -> float:
+    """Return the degrees of freedom of what is left."""
+    return sum(noise.degrees_of_freedom for noise in fit.noise)
 
 
 def _priors_said(parameter: Parameter, value: float) -> str:

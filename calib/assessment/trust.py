@@ -163,7 +163,8 @@ def _instead(check: Check) -> str:
 
 def _causes(found: Verdict, fit: Fit, sets: Sequence[JudgedSet]) -> tuple[Cause, ...]:
     failed = {check.name for check in found.checks if not check.passed}
-    return causes(fit, sets) if failed & _OF_WHAT_IS_LEFT else ()
+    doubted = bool(failed & _OF_WHAT_IS_LEFT)
+    return () if failed and not doubted else causes(fit, sets, doubted=doubted)
 
 
 def _found_with(cause: Cause) -> tuple[Cause, Verdict] | None:

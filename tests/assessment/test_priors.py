@@ -112,6 +112,29 @@ def test_priors_that_keep_the_search_from_the_arm_are_the_cause_of_what_is_left(
     assert calib.identify(free, fit.measurements).noise[0].model < 1e-4
 
 
+@pytest.mark.parametrize("held_out", [False, True])
+def test_a_prior_that_leaves_more_than_the_instrument_has_is_no_noise(held_out: bool) -> None:
+    """Angles were stated a hundred times too well: six sigmas were left, taken for noise, and the fit was trusted."""
+    fit = session(0, wider=1.0)
+    (data,) = fit.measurements
+    rows = np.arange(len(data))
+    rest = [data.subset(rows[40:])] if held_out else []
+    model = replace(fit.model, priors=calib.Priors(angle=ANGLE / 100.0))
+    found = calib.assess(calib.identify(model, data.subset(rows[:40])), rest)
+    assert [check.name for check in found.checks if not check.passed] == ["cause"]
+    assert "if the arm is farther from its URDF than error_model.prior lets it be" in found.doubts[0]
+
+
+@pytest.mark.parametrize("rows", [25, 60])
+def test_priors_that_are_right_are_no_cause_where_sigma_is_too_small(rows: int) -> None:
+    """Residuals of ten stated sigmas, of which the priors leave none."""
+    fit = session(1, sigma=1e-3)
+    (data,) = fit.measurements
+    data = replace(data.subset(np.arange(rows)), sigma=np.full((rows, 3), 1e-4))
+    found = calib.assess(calib.identify(fit.model, data))
+    assert not any(check.name == "cause" and not check.passed for check in found.checks)
+
+
 def test_priors_that_are_right_are_no_cause_of_a_jump() -> None:
     fit = session(0, sigma=1e-4)
     (data,) = fit.measurements
