@@ -59,12 +59,13 @@ def renamed(column: Sequence[str] | None) -> dict[str, str]:
     """Return our names for columns of options like 'x=X2', by our name."""
     from calib.foundations.errors import JobError
 
-    columns = {}
+    columns: dict[str, str] = {}
     for pair in column or ():
-        ours, mark, theirs = pair.partition("=")
-        if not mark or not ours.strip() or not theirs.strip():
+        ours, mark, theirs = (part.strip() for part in pair.partition("="))
+        if not mark or not ours or not theirs:
             raise JobError(f"--column: {pair!r} is not like 'x=X2': our name, and the title in the file.")
-        columns[ours.strip()] = theirs.strip()
+        if columns.setdefault(ours, theirs) != theirs:
+            raise JobError(f"--column: {ours!r} has two titles, {columns[ours]!r} and {theirs!r}; give it one.")
     return columns
 
 

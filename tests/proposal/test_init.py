@@ -331,6 +331,7 @@ def test_a_job_with_a_header_of_others_is_told_what_fits(folder: Path) -> None:
         (["--angles", "mm"], "angles: 'mm' is not one of rad, mrad, urad, deg."),
         (["--orientation", "upside"], "orientation: 'upside' is not one of rotation_vector, matrix, abc,"),
         (["--column", "x"], "--column: 'x' is not like 'x=X2': our name, and the title in the file."),
+        (["--column", "x=A", "--column", "x=B"], "--column: 'x' has two titles, 'A' and 'B'; give it one."),
         (["--column", "x=Q"], "columns: x is to be 'Q', which is no column of measured.csv."),
         (["--tip", "nowhere"], "tip: 'nowhere' is not a link of"),
         (["--observes", "plane"], "observes: 'plane' is not one of position, pose, socket, distance."),
