@@ -15,6 +15,7 @@ from calib.identification.machine import Frames, machine
 from calib.identification.observability import Observability, observability
 from calib.identification.system import Problem
 from calib.machine.urdf import calibrated_urdf
+from calib.robot.robot import Coupling
 from calib.robot.urdf import parse_urdf
 from tests.support import jacobians, machines
 from tests.support.dh_tables import CONVENTIONS, product, random_table, robot_of
@@ -314,6 +315,20 @@ def test_mimicking_arms_may_free_their_tables_numbers_but_have_no_table() -> Non
     )
     with pytest.raises(JobError, match=r"^dh: .*joint 'level' mimics 'lift', and in a DH table every joint moves by"):
         corrected_dh(model, deviations)
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_the_row_of_a_coupled_joint_takes_over_its_multiples_of_offsets(convention: str) -> None:
+    text = machines.INLINE["mimic"].replace('<mimic joint="lift" multiplier="-1" offset="0.1"/>', "")
+    couplings = [Coupling("level", {"lift": -1.0, "swing": 0.2}, 0.1)]
+    robot = calib.load_robot(parse_urdf(text.encode(), "coupled"), "tip", couplings=couplings)
+    model = alone(robot, dh_convention=convention)
+    rng = np.random.default_rng(0)
+    deviations = at(model, rng.uniform(-0.3, 0.3, len(model.parameters())))
+    q = rng.uniform(-2.0, 2.0, (5, 6))  # of all joints but level, which stands third
+    positions = np.insert(q, 2, 0.2 * q[:, 0] - q[:, 1] + 0.1, axis=1)
+    tips = product(corrected_dh(model, deviations), positions)
+    np.testing.assert_allclose(tips, model.robot.tips(q, deviations), rtol=0.0, atol=1e-12)
 
 
 def test_a_machine_that_no_table_holds_is_refused() -> None:

@@ -82,7 +82,8 @@ class DhFrames:
         d = deviations or self.robot.no_deviations()
         changes, rest = self._split(d.placements)
         moving = [self.source.chain[i].name for i in self.source.moving]
-        offsets = dict(zip(moving, map(float, d.offsets), strict=True))
+        # A joint that follows others takes over its multiples of their offsets.
+        offsets = dict(zip(moving, map(float, self.robot.offset_coupling @ d.offsets), strict=True))
         changes |= {(row.joint, own): offsets[row.joint] for row in self.rows if (own := own_motion(row)) is not None}
         rows = [
             DhRow(
