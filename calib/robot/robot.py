@@ -309,7 +309,9 @@ class Robot:
         """
         if link == self.base:
             return -1
-        carriers = {self.urdf.joint(joint.name).child: i for i, joint in enumerate(self.chain)}
+        # Frames of a DH table may stand in two steps, the first of which is no joint of the URDF.
+        child = {joint.name: joint.child for joint in self.urdf.joints}
+        carriers = {child[joint.name]: i for i, joint in enumerate(self.chain) if joint.name in child}
         if link not in carriers:
             raise RobotError(f"there is no link {shown(link)} of the robot; its joints carry {listed(carriers)}.")
         return carriers[link]

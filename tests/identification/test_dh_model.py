@@ -331,6 +331,26 @@ def test_the_row_of_a_coupled_joint_takes_over_its_multiples_of_offsets(conventi
     np.testing.assert_allclose(tips, model.robot.tips(q, deviations), rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_links_on_the_way_are_where_they_were_also_where_axes_are_nearly_parallel(convention: str) -> None:
+    # Such a row has a beta, and its frame stands in two steps.
+    text = machines.INLINE["scara"].replace('rpy="0 0 0"', 'rpy="0.002 -0.001 0.3"')
+    links = [joint.child for joint in parse_urdf(text.encode(), "scara").joints][:-1]
+    robot = calib.load_robot(parse_urdf(text.encode(), "scara"), "tip", links=links)
+    model = alone(robot, dh_convention=convention)
+    rng = np.random.default_rng(0)
+    deviations = at(model, rng.uniform(-0.3, 0.3, len(model.parameters())))
+    q = rng.uniform(-2.0, 2.0, (5, len(robot.readings)))
+    assert model.dh is not None and any(row.beta for row in model.dh.rows)
+    for link in links:
+        np.testing.assert_allclose(
+            model.robot.with_tip(link).tips(q, deviations),
+            robot.with_tip(link).tips(q, model.urdf_deviations(deviations)),
+            rtol=0.0,
+            atol=1e-12,
+        )
+
+
 def test_a_machine_that_no_table_holds_is_refused() -> None:
     robot = calib.load_robot(ARM_CMM)
     model = alone(robot, dh=["joint_1.a"], placements=["joint_5.ry"])
