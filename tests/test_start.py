@@ -329,3 +329,14 @@ def test_an_error_with_streams_closed() -> None:
     command = f'exec "$0" -W error -c "{MAIN}" check nothing.toml 2>&-'
     done = subprocess.run(["sh", "-c", command, sys.executable], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (1, "", "")
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_processes_of_a_command_have_the_streams_that_were_closed(closed: str) -> None:
+    child = "import os; [os.fstat(number) for number in range(3)]"
+    code = (
+        "import subprocess, sys; from calib_start import _prepare; _prepare(); "
+        f"sys.exit(subprocess.call([sys.executable, '-c', '{child}']))"
+    )
+    done = subprocess.run(["sh", "-c", f'exec "$0" -c "$1" {closed}', sys.executable, code], check=False)
+    assert done.returncode == 0
