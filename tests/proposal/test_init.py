@@ -339,6 +339,7 @@ def test_a_job_with_a_header_of_others_is_told_what_fits(folder: Path) -> None:
         (["--column", "rx=X"], "columns: 'rx' is of an orientation, whose columns the fit finds;"),
         (["--column", "qw=X"], "columns: qw is to be 'X', which is no scalar of a quaternion in measured.csv."),
         (["--column", "x=Y"], "measured.csv: its columns cannot be read as answered, 'x=Y'; name"),
+        (["--observes", "pose"], "measured.csv: poses are to be read, and no columns are an orientation of the point"),
         (["--orientation", "abc"], "orientation: 'abc' says what three angles or a matrix are, and no table has them;"),
     ],
 )

@@ -31,7 +31,7 @@ _NO_WORSE, _NO_SHARE = 1 + 1e-6, 1e-9
 def read(document: Urdf, raw: RawTable, answers: Answers, robot: Robot | None) -> Found:
     """Return how a table is read; ``robot``: the arm that tables before it have shown.
 
-    Raises AskedError, or MeasurementError where no column is a joint.
+    Raises AskedError, or MeasurementError where no column is a joint, or none an orientation that is asked for.
     """
     seen = Seen(document, raw, answers, robot)
     picks = picks_of(seen)
@@ -104,6 +104,12 @@ def _posed(seen: Seen, best: Trial) -> Found:
         chosen = orientation_of(seen, best)
     if chosen is None:
         if seen.answers.observes == "pose":
+            if not pick.turned:  # no convention makes an orientation of no columns
+                raise MeasurementError(
+                    f"{seen.raw.where}: poses are to be read, and no columns are an orientation of the point "
+                    f"{seen.titles(best.point.columns)}; give these titles like qw, qx, qy, qz or rx, ry, rz in the "
+                    "file, or read positions."
+                )
             raise ask("orientation", f"{seen.raw.where}: there is no orientation that fits", ORIENTATIONS[:5])
         return _result(seen, pick, "position", names, None)
     orientation, columns, unit = chosen
