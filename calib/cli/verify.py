@@ -111,7 +111,8 @@ def verify(
             refit=refit_base,
             refit_tool=refit_tool,
         )
-        outside = outside_identified(machine, data.readings, data.loaded(machine.robot).conditions)
+        conditions, own = data.loaded(machine.robot).conditions, data.tools[data.tool[0]]
+        outside = outside_identified(machine, data.readings, conditions, tool=own)
     telling.tell(
         lambda: {**found.contents(), "outside": list(outside), "notes": [*doubts, *left_out]},
         lambda: [*map(warning, (*doubts, *left_out, *outside)), verification_sheet(found), *verification_lines(found)],

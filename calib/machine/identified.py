@@ -73,19 +73,23 @@ def usual_conditions(machine: CalibratedMachine, readings: Array) -> Conditions:
 
 @checked
 def outside_identified(
-    machine: CalibratedMachine, readings: Array, conditions: Conditions = NO_CONDITIONS
+    machine: CalibratedMachine, readings: Array, conditions: Conditions = NO_CONDITIONS, *, tool: str | None = None
 ) -> tuple[str, ...]:
     """Return, for every joint whose readings (N, nr) leave the range it was identified in, one sentence.
 
     And one for a temperature, and for a payload, of ``conditions`` or of the set-up, that the machine's terms follow. A
     value leaves the range if it is beyond the outermost one by more than a twentieth of the range; whole turns do not
     count where they bring back all that follows the reading. A model is only proven where it was measured: outside, the
-    stated sigmas hold only if the model is right. Raises MeasurementError for readings of another shape.
+    stated sigmas hold only if the model is right. ``tool``: only of joints that bear on it, so not of another arm's.
+    Raises MeasurementError for readings of another shape and for an unknown tool.
     """
     found = readings_of(machine, readings)
     said: list[str] = []
     known = machine.known_uncertainty
+    bearing = None if tool is None else _bearing_on(machine.of(tool).robot)
     for j, (reading, (low, high)) in enumerate(zip(machine.robot.readings, known.identified, strict=True)):
+        if bearing is not None and reading.name not in bearing:
+            continue
         values = turned_towards(found[:, j], low, high, reading.turns)
         factor, unit = DISPLAY_OF[reading.dimension]
         ends = low * factor, high * factor
@@ -94,6 +98,11 @@ def outside_identified(
         if name in known.conditions:
             said += _outside(f"The {name}", values, known.conditions[name], values, _UNITS[name])
     return tuple(said)
+
+
+def _bearing_on(robot: Robot) -> tuple[str, ...]:
+    """Return the names of the readings that bear on the tip: all of them where what they move weighs on joints."""
+    return robot.driving((robot.tip,)) if robot.weights is None else tuple(r.name for r in robot.readings)
 
 
 def _outside(name: str, values: Array, ends: tuple[float, float], told: Array, unit: str) -> Iterator[str]:

@@ -18,6 +18,7 @@ from calib.assessment.drift import compare
 from calib.foundations.errors import MeasurementError
 from calib.machine.gaussian import Kernel, gaussian_from_residuals
 from calib.machine.grid import Leaning, grid_from_residuals
+from calib.machine.identified import outside_identified
 from calib.machine.of_fit import machine_of
 from calib.machine.residual_model import ResidualModel
 from calib.presentation.acceptance_tables import comparison_sentences, verification_lines
@@ -656,6 +657,19 @@ def test_all_tools_of_two_arms_are_looked_at() -> None:
     # The two arms are alike: what moves one of them shows as much as what moves the other.
     assert tools["left"] > 3e-4
     assert tools["left"] == pytest.approx(tools["right"], rel=0.3)
+
+
+def test_only_joints_that_bear_on_a_tool_are_outside_their_range() -> None:
+    made = two_arms(trees.tree(np.random.default_rng(0)), 1)
+    names = [reading.name for reading in made.robot.readings]
+    q = np.mean(made.known_uncertainty.identified, axis=1)[None]
+    q[0, names.index("left_elbow")] += 3.0
+    (said,) = outside_identified(made, q)
+    assert said.startswith("left_elbow is outside the range it was identified in")
+    assert outside_identified(made, q, tool="of left_hand") == (said,)
+    assert outside_identified(made, q, tool="of right_hand") == ()
+    with pytest.raises(MeasurementError, match="nothing"):
+        outside_identified(made, q, tool="nothing")
 
 
 def test_arms_in_another_order_are_the_same_machine() -> None:

@@ -154,6 +154,10 @@ def test_what_the_other_arm_holds_weighs_on_the_torso() -> None:
         assert fit.value(f"{joint}.elastic") == pytest.approx(compliance, rel=0.02)
     held_out = [measured("left", 20), measured("right", 20)]
     assert max(map(rms, residuals_of(fit, held_out, fit.machine))) < 1.2 * SIGMA
+    # So its joints have a range for the tool of either arm.
+    q = np.zeros((1, len(names)))
+    q[0, names.index("right_lift")] = 2.0
+    assert len(outside_identified(calib.machine_of(fit), q, tool="left")) == 1
     # An arm alone, whose torso knows nothing of the other one, does not come near.
     alone = load_robot(parse_urdf(text.encode(), "two.urdf"), "left_hand")
     left = fit.measurements[0]
