@@ -62,14 +62,13 @@ def verify(
         from calib.job.columns import columns_of_results, not_new
         from calib.machine.identified import outside_identified
         from calib.machine.model_file import load_machine
-        from calib.measurement.checks import refuse_findings, table_findings, unreached
+        from calib.measurement.checks import refuse_findings, sides_asked, table_findings, unreached
         from calib.measurement.formats.sheet import read_sheet
         from calib.measurement.read import read_measurements
         from calib.measurement.table import HeaderError, read_table
         from calib.presentation.acceptance_tables import verification_lines, verification_sheet
         from calib.presentation.console import warning
         from calib.results.result_file import doubts_of
-        from calib.robot.transmission import sided
     with telling.progress(steps=2) as say:
         say("reading the model and the measurements")
         machine = load_machine(results).at(setup)
@@ -101,7 +100,7 @@ def verify(
             ) from e
         # Else a wrong unit would be told as an arm that has changed.
         refuse_findings(table_findings(data, machine.robot.readings, data.reach(machine.robot)))
-        left_out = [finding.sentence for finding in unreached(data, sided(machine.robot.terms))]
+        left_out = [finding.sentence for finding in unreached(data, sides_asked(data, machine.robot))]
         doubts = [*doubts_of(results), *not_new(results, measurements)]
         say("judging")
         found = judged(

@@ -14,10 +14,9 @@ from calib.job import refusals, tables
 from calib.job.read import Progress
 from calib.job.schema import Job, MeasurementsSection
 from calib.job.stated import load_arm, meshes_not_found
-from calib.measurement.checks import Finding, copied_tables, refuse_findings, table_findings, unreached
+from calib.measurement.checks import Finding, copied_tables, refuse_findings, sides_asked, table_findings, unreached
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Robot
-from calib.robot.transmission import sided
 
 if TYPE_CHECKING:
     from calib.identification.optics_choice import OpticsChoice
@@ -107,7 +106,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     doubts += [
         *refusals.weights_not_known(model, sets),
         *refusals.cameras_at_one_place(sets),
-        *(finding for _, data in before for finding in unreached(data, sided(model.robot.terms))),
+        *(finding for _, data in before for finding in unreached(data, sides_asked(data, model.robot))),
         *meshes_not_found(robot.urdf.source, arm.mesh_roots, job.robot.urdf),
     ]
     # Of a whole table, also where some of its rows are held out: what a joint does in these few says nothing.

@@ -210,8 +210,15 @@ class CalibratedMachine:
     def with_own_names(self, data: Measurements) -> Measurements:
         """Return the data with tools and set-ups numbered as the machine's, under the loads of these set-ups.
 
-        Raises MeasurementError for others, and for streams by a clock that only their fit knows.
+        Raises MeasurementError for others, for streams by a clock that only their fit knows, and where joints are not
+        told whose arm weighs on joints of these rows.
         """
+        bearing = self.robot.bearing_on((data.tip or self.robot.tip,)) if data.absent else ()
+        if missing := [name for name in data.absent if name in bearing]:
+            raise MeasurementError(
+                f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which is needed for "
+                "loads on joints that give way."
+            )
         if not data.uses.keys().isdisjoint(SHIFTS):
             raise MeasurementError(
                 f"{data.where}: its clock is free, and a machine by itself does not know it; judge these rows with "

@@ -86,7 +86,8 @@ def outside_identified(
     found = readings_of(machine, readings)
     said: list[str] = []
     known = machine.known_uncertainty
-    bearing = None if tool is None else _bearing_on(machine.of(tool).robot)
+    own = None if tool is None else machine.of(tool).robot
+    bearing = None if own is None else own.bearing_on((own.tip,))
     for j, (reading, (low, high)) in enumerate(zip(machine.robot.readings, known.identified, strict=True)):
         if bearing is not None and reading.name not in bearing:
             continue
@@ -98,11 +99,6 @@ def outside_identified(
         if name in known.conditions:
             said += _outside(f"The {name}", values, known.conditions[name], values, _UNITS[name])
     return tuple(said)
-
-
-def _bearing_on(robot: Robot) -> tuple[str, ...]:
-    """Return the names of the readings that bear on the tip: all of them where what they move weighs on joints."""
-    return robot.driving((robot.tip,)) if robot.weights is None else tuple(r.name for r in robot.readings)
 
 
 def _outside(name: str, values: Array, ends: tuple[float, float], told: Array, unit: str) -> Iterator[str]:

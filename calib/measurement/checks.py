@@ -17,7 +17,8 @@ from calib.foundations.units import DEG, MM
 from calib.foundations.words import counted, listed
 from calib.measurement.measurements import Measurements
 from calib.measurement.streams.stream import OFFSET
-from calib.robot.robot import Reading
+from calib.robot.robot import Reading, Robot
+from calib.robot.transmission import sided
 
 # Controllers and rounding pass a limit by little: a warning from 1 mrad (1 mm) plus 0.1 % of the joint's largest limit.
 _SLACK = 1e-3
@@ -94,10 +95,10 @@ def table_findings(measurements: Measurements, readings: Sequence[Reading], reac
     )
 
 
-def unreached(m: Measurements, sided: Collection[str] = ()) -> tuple[Finding, ...]:
+def unreached(m: Measurements, asked: Collection[str] = ()) -> tuple[Finding, ...]:
     """Return warnings where ``in_order`` leaves out more rows of a table than the first one, or leaves a side untold.
 
-    ``sided``: readings of which something follows the side.
+    ``asked``: readings of which something follows the side (:func:`sides_asked`).
     """
     found = []
     what = "rows" if m.other is None else "pairs"
@@ -113,7 +114,7 @@ def unreached(m: Measurements, sided: Collection[str] = ()) -> tuple[Finding, ..
         found.append(Finding.warning("rows-left-out", sentence))
     sides = [end.conditions.approach for end in m.ends if end.conditions.approach is not None]
     if (m.unreached or m.stream is not None) and sides:
-        untold = np.any([own == 0.0 for own in sides], axis=0) & np.isin(m.reading_names, list(sided))
+        untold = np.any([own == 0.0 for own in sides], axis=0) & np.isin(m.reading_names, list(asked))
         names = [name for name, own in zip(m.reading_names, untold.T, strict=True) if own.any()]
         if names:
             many = np.count_nonzero(untold.any(axis=1))
@@ -124,6 +125,12 @@ def unreached(m: Measurements, sided: Collection[str] = ()) -> tuple[Finding, ..
             )
             found.append(Finding.warning("side-not-known", sentence))
     return tuple(found)
+
+
+def sides_asked(m: Measurements, robot: Robot) -> frozenset[str]:
+    """Return the readings that move what rows are about, and of which a joint term follows the side."""
+    links = {m.tip or robot.tip, *(m.target_links[name] for name in m.seen_targets if name in m.target_links)}
+    return sided(robot.terms) & frozenset(robot.driving(links))
 
 
 # ---- readings

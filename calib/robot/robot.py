@@ -28,7 +28,7 @@ from calib.robot.gravity import STANDARD_GRAVITY, Holding, Load, Payload, Weight
 from calib.robot.kinematics import Joints, Kinematics, MovingType, Regressor, followed
 from calib.robot.loops import Closure, Loop, passive_joints
 from calib.robot.skeleton import Outline, Segment
-from calib.robot.terms import JointTerm
+from calib.robot.terms import JointTerm, kind_of
 from calib.robot.transmission import Bases, Flexures, TermShares, Transmission, flexures
 from calib.robot.urdf import Urdf
 
@@ -293,6 +293,30 @@ class Robot:
         moving = [self.chain[i].name in names for i in self.moving]
         used = np.any(self.coupling[moving] != 0.0, axis=0)
         return tuple(reading.name for reading, is_used in zip(self.readings, used, strict=True) if is_used)
+
+    @checked
+    def bearing_on(self, links: Iterable[str]) -> tuple[str, ...]:
+        """Return the names of the readings that bear on where links are.
+
+        Those that move them and, of joints that give way to masses, those of all that hangs on the same joint: of two
+        arms on a soft torso both, on a stiff one none of the other arm's. Raises RobotError as :meth:`carrier` does.
+        """
+        asked = tuple(links)
+        if self.weights is not None:
+            soft = {term.reading for term in self.terms if kind_of(term).masses != "none"}
+            following = np.any(self.coupling[:, [reading.name in soft for reading in self.readings]] != 0.0, axis=1)
+            yielding = soft | {
+                self.chain[i].name
+                for i, follows in zip(self.moving, following.tolist(), strict=True)
+                if follows or self.loops
+            }
+
+            def carrying(of: Iterable[str]) -> set[str]:
+                return {joint.name for link in of for joint in self._path(link)} & yielding
+
+            own = carrying(asked)
+            asked += tuple(link for link in self.links if not own.isdisjoint(carrying((link,))))
+        return self.driving(asked)
 
     def _path(self, link: str) -> Iterator[ChainJoint]:
         """Yield the joints from a link back to the base."""

@@ -169,6 +169,41 @@ def test_what_the_other_arm_holds_weighs_on_the_torso() -> None:
     assert rms(lonely.residuals[0]) > 3.0 * SIGMA
 
 
+@pytest.mark.parametrize("torso", ["soft", "stiff"])
+def test_only_what_hangs_on_the_same_joints_has_to_be_told(torso: str) -> None:
+    """Tables of two soft arms that tell the joints of their own arm alone: sound where no soft joint carries both."""
+    rng, text = np.random.default_rng(14), two_arms()
+    truth = Sagging(text, {"left_lift": 3e-5, "right_lift": 2e-5})
+    robot = load_robot(parse_urdf(text.encode(), "two.urdf"), "left_hand", links=["right_hand"])
+    base = machines.anywhere(rng)
+
+    def measured(side: str) -> calib.Measurements:
+        names = [reading.name for reading in robot.readings if reading.name.startswith(("lean", side))]
+        u = rng.uniform(-1.2, 1.2, (40, len(names)))
+        at = [dict.fromkeys([r.name for r in robot.readings], 0.0) | dict(zip(names, q, strict=True)) for q in u]
+        x = np.array([(base @ truth.tip(f"{side}_hand", q) @ [0.1, 0.03, 0.02, 1])[:3] for q in at])
+        columns: dict[str, object] = {f"{name} [rad]": u[:, k] for k, name in enumerate(names)}
+        columns |= {f"{a} [m]": x[:, k] + SIGMA * rng.standard_normal(40) for k, a in enumerate("xyz")}
+        return calib.read_measurements(columns, robot.with_tip(f"{side}_hand"), sigma=SIGMA).named(tool=side)
+
+    elastic = [*truth.compliances, *(["lean"] if torso == "soft" else [])]
+    model, tables = machines.model(robot, elastic=elastic), [measured("left"), measured("right")]
+    if torso == "stiff":
+        assert model.robot.bearing_on(("right_hand",)) == ("lean", "right_lift", "right_bend")
+        fit = calib.identify(model, tables)
+        for joint, compliance in truth.compliances.items():
+            assert fit.value(f"{joint}.elastic") == pytest.approx(compliance, rel=0.03)
+        assert calib.verify(calib.machine_of(fit), measured("right")).passed
+        return
+    assert set(model.robot.bearing_on(("right_hand",))) == {reading.name for reading in robot.readings}
+    with pytest.raises(MeasurementError, match=r"no column 'right_lift', 'right_bend' of a joint, .* loads on joints"):
+        calib.identify(model, tables)
+    tools, tips = {"left": BALL, "right": BALL}, {"right": "right_hand"}
+    machine = calib.CalibratedMachine(model.robot, model.robot.no_deviations(), base, tools, tool_tips=tips)
+    with pytest.raises(MeasurementError, match=r"no column 'left_lift', 'left_bend' of a joint, .* loads on joints"):
+        machine.residuals(tables[1])
+
+
 def arms() -> list[calib.Robot]:
     return [load_robot(*UR10, links=["wrist_3_link"]), load_robot(IRB, "tool0", loops=[LOOP])]
 

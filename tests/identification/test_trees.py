@@ -14,11 +14,12 @@ from calib.identification.machine import Frames, Layout
 from calib.identification.system import Problem
 from calib.identification.targets import Target, unknowns
 from calib.identification.unseen_strains import unseen_strains
-from calib.measurement.checks import table_findings
+from calib.measurement.checks import sides_asked, table_findings, unreached
 from calib.measuring import Camera
-from tests.support import jacobians
+from calib.robot.urdf import parse_urdf
+from tests.support import jacobians, machines
 from tests.support.machines import Array, anywhere, pose
-from tests.support.trees import TIPS, TOOLS, Tree, touching, tree
+from tests.support.trees import TIPS, TOOLS, Tree, touching, tree, urdf
 
 SIGMA = 2e-5
 
@@ -255,3 +256,15 @@ def test_a_column_of_a_joint_that_matters_to_nothing_is_remarked() -> None:
     data = calib.read_measurements(columns, robot, sigma=SIGMA)
     (finding,) = [f for f in table_findings(data, robot.readings, robot.reach) if f.code == "joint-unused"]
     assert "'left_elbow'" in finding.sentence and "'neck'" in finding.sentence
+
+
+def test_sides_are_asked_of_the_joints_of_the_own_arm() -> None:
+    """The order of a table tells the sides of its own arm; nothing misses those of the other."""
+    robot = calib.load_robot(parse_urdf(urdf().encode(), "tree"), TIPS[0], links=[TIPS[1]])
+    model = machines.model(robot, backlash="all")
+    own = [reading.name for reading in robot.readings if not reading.name.startswith("right")]
+    columns = {f"{name} [rad]": np.array([0.1, 0.2, 0.3, 0.2]) for name in own}
+    columns |= {f"{axis} [m]": np.arange(4.0) for axis in "xyz"}
+    data = calib.read_measurements(columns, robot.with_tip("left_hand"), sigma=1e-4, in_order=True)
+    assert sides_asked(data, model.robot) == set(own)
+    assert unreached(data, sides_asked(data, model.robot)) == ()

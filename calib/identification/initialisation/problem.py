@@ -212,8 +212,8 @@ def _refuse_absent(model: ErrorModel, sets: Sequence[Measurements]) -> None:
                 f"{data.where}: {link!r} is not one of the links that the robot was loaded with: "
                 f"{', '.join(map(repr, model.robot.links))}."
             )
-        # What hangs on a joint pulls at it, wherever that is.
-        needed = data.absent if model.robot.weights is not None else model.robot.driving(links) if data.absent else ()
+        # What hangs on a joint that moves the link pulls at it, wherever that is.
+        needed = model.robot.bearing_on(links) if data.absent else ()
         if missing := [name for name in data.absent if name in needed]:
             raise MeasurementError(
                 f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which is needed for "
