@@ -80,7 +80,7 @@ def compensate(
     outside: tuple[str, ...] = ()
     if model.uncertainty is not None and found.reached.any():
         conditions = wanted.conditions.subset(found.reached)
-        outside = outside_identified(model, found.readings[found.reached], conditions, tool=wanted.tools[0])
+        outside = outside_identified(model, found.readings[found.reached], conditions, tool=wanted.tools)
     missed = len(found) - int(found.reached.sum())
     if remarked := sum(bool(why) for why, there in zip(found.reasons, found.reached, strict=True) if there):
         rows = counted(remarked, "target that can be reached has", "targets that can be reached have")

@@ -110,7 +110,7 @@ def verify(
             refit=refit_base,
             refit_tool=refit_tool,
         )
-        conditions, own = data.loaded(machine.robot).conditions, data.tools[data.tool[0]]
+        conditions, own = data.loaded(machine.robot).conditions, [data.tools[k] for k in set(data.tool.tolist())]
         outside = outside_identified(machine, data.readings, conditions, tool=own)
     telling.tell(
         lambda: {**found.contents(), "outside": list(outside), "notes": [*doubts, *left_out]},

@@ -73,21 +73,25 @@ def usual_conditions(machine: CalibratedMachine, readings: Array) -> Conditions:
 
 @checked
 def outside_identified(
-    machine: CalibratedMachine, readings: Array, conditions: Conditions = NO_CONDITIONS, *, tool: str | None = None
+    machine: CalibratedMachine,
+    readings: Array,
+    conditions: Conditions = NO_CONDITIONS,
+    *,
+    tool: str | Sequence[str] | None = None,
 ) -> tuple[str, ...]:
     """Return, for every joint whose readings (N, nr) leave the range it was identified in, one sentence.
 
     And one for a temperature, and for a payload, of ``conditions`` or of the set-up, that the machine's terms follow. A
     value leaves the range if it is beyond the outermost one by more than a twentieth of the range; whole turns do not
     count where they bring back all that follows the reading. A model is only proven where it was measured: outside, the
-    stated sigmas hold only if the model is right. ``tool``: only of joints that bear on it, so not of another arm's.
-    Raises MeasurementError for readings of another shape and for an unknown tool.
+    stated sigmas hold only if the model is right. ``tool``: only of joints that bear on it, or on one of several, so
+    not of another arm's. Raises MeasurementError for readings of another shape and for an unknown tool.
     """
     found = readings_of(machine, readings)
     said: list[str] = []
     known = machine.known_uncertainty
-    own = None if tool is None else machine.of(tool).robot
-    bearing = None if own is None else own.bearing_on((own.tip,))
+    names = None if tool is None else dict.fromkeys((tool,) if isinstance(tool, str) else tool)
+    bearing = None if names is None else machine.robot.bearing_on([machine.of(name).robot.tip for name in names])
     for j, (reading, (low, high)) in enumerate(zip(machine.robot.readings, known.identified, strict=True)):
         if bearing is not None and reading.name not in bearing:
             continue

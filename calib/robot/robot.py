@@ -305,10 +305,12 @@ class Robot:
         if self.weights is not None:
             soft = {term.reading for term in self.terms if kind_of(term).masses != "none"}
             following = np.any(self.coupling[:, [reading.name in soft for reading in self.readings]] != 0.0, axis=1)
+            # A term of no reading is of every link.
+            every = bool(self.loops) or "" in soft
             yielding = soft | {
                 self.chain[i].name
                 for i, follows in zip(self.moving, following.tolist(), strict=True)
-                if follows or self.loops
+                if follows or every
             }
 
             def carrying(of: Iterable[str]) -> set[str]:
