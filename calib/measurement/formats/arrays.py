@@ -41,6 +41,9 @@ _SHORTEST = 2.0
 _OF_NUMBERS = frozenset(("double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))))
 _PACKED = 15
 _OBJECT = 17
+# Its classes of matrices of numbers, the mark of one with imaginary parts, and the types that numbers are stored as.
+_MATRICES, _COMPLEX = range(6, 16), 0x800
+_STORED_AS = frozenset((1, 2, 3, 4, 5, 6, 7, 9, 12, 13))
 # Of an element, what holds its class, dimensions and name.
 _HEAD = 300
 _MOST_AXES = 3
@@ -94,6 +97,8 @@ def from_mat(data: bytes, where: str) -> Rows:
             numbers = frozenset(plain)
             if sum(math.prod(shape) for name, shape, _ in held if name in numbers) > _MOST_VALUES:
                 raise MeasurementError(f"{where}: has more than {_MOST_VALUES} values.")
+            if not all(_is_typed(kind, inside, _order(data)) for kind, _, inside in _elements(data)):
+                raise MeasurementError(f"{where}: is no file of MATLAB that can be read.")
             read = scipy.io.loadmat(file, variable_names=plain) if plain else {}
     except MeasurementError:
         raise
@@ -179,13 +184,42 @@ def _class_and_name(head: bytes, order: str) -> tuple[bool, str | None]:
         is_object = struct.unpack_from(f"{order}I", head, 8)[0] & 0xFF == _OBJECT
         at = 16
         if not is_object:  # dimensions come before the name
-            at += 8 + -(-struct.unpack_from(f"{order}I", head, at + 4)[0] // 8) * 8
-        word, size = struct.unpack_from(f"{order}II", head, at)
+            *_, at = _tag(head, at, order)
+        _, begin, size, _ = _tag(head, at, order)
     except struct.error:
         return False, None
-    # Short names are packed into one word of their own.
-    begin, size = (at + 4, word >> 16) if word >> 16 else (at + 8, size)
     return is_object, head[begin : begin + size].decode("latin-1")
+
+
+def _tag(data: bytes, at: int, order: str) -> tuple[int, int, int, int]:
+    """Return of the element at a byte its type, where its bytes begin, how many they are, and where the next one is."""
+    word, size = struct.unpack_from(f"{order}II", data, at)
+    # Few bytes are packed into one word of their own.
+    if word >> 16:
+        return word & 0xFFFF, at + 4, word >> 16, at + 8
+    return word, at + 8, size, at + 8 + -(-size // 8) * 8
+
+
+def _is_typed(kind: int, inside: memoryview, order: str) -> bool:
+    """Return whether the numbers of an element, if they are what it holds, are stored as a type of numbers.
+
+    SciPy looks up the type in a table without an end, and takes what is there for memory of its own.
+    """
+    head = _beginning(inside, 8 + _HEAD)[8:] if kind == _PACKED else bytes(inside[:_HEAD])
+    try:
+        (flags,) = struct.unpack_from(f"{order}I", head, 8)
+        if flags & 0xFF not in _MATRICES:
+            return True
+        at = 16
+        for _ in range(2):  # dimensions and name
+            *_, at = _tag(head, at, order)
+        stored, _, _, after = _tag(head, at, order)
+        if flags & _COMPLEX and stored in _STORED_AS:
+            whole = _beginning(inside, _LARGEST)[8:] if kind == _PACKED else bytes(inside)
+            stored, *_ = _tag(whole, after, order)
+    except struct.error:
+        return False
+    return stored in _STORED_AS
 
 
 def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[str], where: str) -> Rows:
