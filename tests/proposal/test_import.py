@@ -164,6 +164,16 @@ def test_an_object_of_matlab_is_named_and_hides_no_matrix(folder: Path, packed: 
         read_sheet("alone.mat")
 
 
+def test_a_file_of_matlab_4_has_no_elements(folder: Path) -> None:
+    """Bytes of its numbers were taken for tags of MATLAB 5: here those of a matrix of numbers, stored as no type."""
+    matrix = np.array((14, 56, 6, 8, 6, 0, 5, 8, 1, 1, 1, 0, 0, 0, 99, 99), dtype=">u4").tobytes()
+    savemat(folder / "old.mat", {"q": np.zeros((60, 6))}, format="4")
+    whole = bytearray((folder / "old.mat").read_bytes())
+    whole[128 : 128 + len(matrix)] = matrix
+    (folder / "old.mat").write_bytes(whole)
+    assert len(read_sheet("old.mat").rows) == 60
+
+
 def test_what_is_wrong_with_a_file_of_matlab_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     savemat(folder / "m.mat", {"q": np.arange(12.0).reshape(2, 6)})
     whole = (folder / "m.mat").read_bytes()

@@ -143,8 +143,10 @@ def _unpacked(data: bytes) -> int:
 
 
 def _elements(data: bytes) -> Iterator[tuple[int, memoryview, memoryview]]:
-    """Yield the elements of a MATLAB file: the kind of each, all its bytes, and those inside."""
+    """Yield the elements of a MATLAB file: the kind of each, all its bytes, and those inside; of MATLAB 4 none."""
     view, at = memoryview(data), 128
+    if 0 in data[:4]:
+        return
     while at + 8 <= len(view):
         kind, count = struct.unpack_from(f"{_order(data)}II", view, at)
         yield kind, view[at : at + 8 + count], view[at + 8 : at + 8 + count]
