@@ -19,7 +19,7 @@ from calib.foundations.csv_text import csv_cell, csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.sealing import sealed
 from calib.foundations.units import MM, MRAD, UNITS, Dimension
-from calib.foundations.words import not_calibrated, refuse_other
+from calib.foundations.words import listed, not_calibrated, refuse_other
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.identified import not_placed
 from calib.measurement.columns import filled, orientations, stacked
@@ -116,13 +116,14 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool", *, in_or
     tools = cast(tuple[str, ...], columns["tool"].values) if "tool" in columns else (tool,) * len(table)
     if tool != ONLY_TOOL and set(tools) - {tool}:
         raise MeasurementError(f"{where}: the tool is given twice, as {tool!r} and by column 'tool'; keep one.")
-    # Joints of other arms need not be there.
+    # Joints of other arms need not be there, but where they weigh on joints of this one.
     needed = {*position, *rotation, *_needed(model, tools)}
     wanted = [position] if posed else [joints]
     wanted += [some for some in ([rotation, joints] if posed else []) if any(name in columns for name in some)]
     if missing := [name for some in wanted for name in some if name in needed and name not in columns]:
-        listed, there = (", ".join(map(repr, some)) for some in (missing, columns))
-        raise MeasurementError(f"{where}: there is no column {listed} of the targets; the columns are {there}.")
+        names, there = (", ".join(map(repr, some)) for some in (missing, columns))
+        weighs = "" if set(missing).isdisjoint(_weighing(model, tools)) else ", of what weighs on joints of this arm,"
+        raise MeasurementError(f"{where}: there is no column {names}{weighs} of the targets; the columns are {there}.")
     start = filled(table, joints) if joints in wanted else None
     poses = None
     if posed:
@@ -199,7 +200,8 @@ def corrections(
             conditions=wanted.conditions,
         )
     if not found.reached.any():
-        table, joints = wanted.table, len(_needed(model, wanted.tools))
+        table, arm = wanted.table, at_tip(model, wanted.tools).robot
+        joints = len(arm.driving((arm.tip,)))
         sought_poses = what == "pose" and (wanted.poses is None or wanted.poses.ndim == 3)
         hint = ""
         if sought_poses and joints < _OF_A_POSE:
@@ -224,12 +226,17 @@ def of_set_up(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame) ->
 
 
 def idle(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame, clamp: bool) -> tuple[str, ...]:
-    """Return what is to be said of wishes that change nothing of these targets."""
+    """Return what is to be said of wishes that change nothing of these targets, and of what they do not tell."""
     said = []
     if wanted.poses is None and frame != "base":
         said.append(f"{wanted.table.where}: holds joint targets, which are in no frame: --frame {frame} has no effect.")
     if clamp and model.residual_model is None:
         said.append("The machine has no residual model: --clamp has no effect.")
+    if wanted.readings is None and (others := _weighing(model, wanted.tools)):
+        said.append(
+            f"{wanted.table.where}: what hangs on {listed(others)} weighs on joints of this arm, and no column says "
+            "where these are; the commands are for what the search puts them to. Give the joints to start from."
+        )
     if wanted.conditions.ordered and not sided(model.robot):
         said.append("The machine has no joint term that asks for sides of approach: --in-order has no effect.")
     return tuple(said)
@@ -279,9 +286,16 @@ def corrected_csv(model: CalibratedMachine, wanted: Targets, found: Corrections)
 
 
 def _needed(model: CalibratedMachine, tools: Sequence[str]) -> tuple[str, ...]:
-    """Return the joints that move tools, of those that the machine has."""
+    """Return the joints that bear on where tools are: those of the arm, and of what weighs on joints of it."""
     robot = at_tip(model, tools).robot
-    return robot.driving((robot.tip,))
+    return robot.bearing_on((robot.tip,))
+
+
+def _weighing(model: CalibratedMachine, tools: Sequence[str]) -> list[str]:
+    """Return the joints of another arm that weighs on joints of these tools'."""
+    arm = at_tip(model, tools).robot
+    own = arm.driving((arm.tip,))
+    return [name for name in _needed(model, tools) if name not in own]
 
 
 def _numbers(values: Array, how: str) -> list[str]:

@@ -24,8 +24,10 @@ from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.kinematics import Kinematics
 from calib.robot.robot import TipModel
 from calib.robot.terms import JointTerm
+from calib.robot.urdf import parse_urdf
 from tests.support import machines
 from tests.support.reach import apart, well_posed
+from tests.support.sagging import two_arms
 
 Array = NDArray[np.float64]
 
@@ -1016,3 +1018,27 @@ def test_targets_in_the_base_link_of_a_tool_whose_height_nothing_told(
         targets.corrections(machine, far, frame=frame)
     assert all(note in str(refused.value) for note in notes)
     assert all("where 'tool' is on its link along (0, 0, 1)" in note for note in notes)
+
+
+@pytest.mark.parametrize("torso", ["soft", "stiff"])
+def test_an_arm_that_weighs_on_joints_of_the_other_has_to_be_told(torso: str) -> None:
+    """It was taken to be at zero without a word."""
+    robot = calib.load_robot(parse_urdf(two_arms().encode(), "two.urdf"), "left_hand", links=["right_hand"])
+    model = calib.error_model(robot, terms={"elastic": ["right_lift", *(["lean"] if torso == "soft" else [])]})
+    tools, base, tips = {"left": np.eye(4), "right": np.eye(4)}, np.eye(4), {"right": "right_hand"}
+    machine = calib.CalibratedMachine(model.robot, model.robot.no_deviations(), base, tools, tool_tips=tips)
+    own = {f"{name} [rad]": [0.1, 0.2] for name in ("lean", "right_lift", "right_bend")}
+    place = machine.of("right").tips(np.full((1, len(robot.readings)), 0.1))[0, :3, 3]
+    posed = targets.targets(
+        table_from_arrays({f"{axis} [m]": [place[k]] for k, axis in enumerate("xyz")}), machine, "right"
+    )
+    said = targets.idle(machine, posed, frame="base", clamp=False)
+    titles = targets.corrected_csv(machine, posed, targets.corrections(machine, posed)).partition("\n")[0]
+    if torso == "stiff":
+        assert len(targets.targets(table_from_arrays(own), machine, "right").table) == 2
+        assert said == () and "left" not in titles
+        return
+    assert "what hangs on 'left_lift', 'left_bend' weighs on joints of this arm" in said[0]
+    assert "left_lift [deg]" in titles
+    with pytest.raises(calib.MeasurementError, match=r"'left_lift', 'left_bend', of what weighs on joints of this arm"):
+        targets.targets(table_from_arrays(own), machine, "right")
