@@ -5,7 +5,7 @@ carries a deviation; the readings of the encoders become joint positions through
 follow from closed loops.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -288,11 +288,8 @@ class Robot:
 
         Raises RobotError as :meth:`carrier` does.
         """
-        names = {joint.name for loop in self.closed_loops for link in loop.frames for joint in self._path(link)}
-        names |= {joint.name for link in links for joint in self._path(link)}
-        moving = [self.chain[i].name in names for i in self.moving]
-        used = np.any(self.coupling[moving] != 0.0, axis=0)
-        return tuple(reading.name for reading, is_used in zip(self.readings, used, strict=True) if is_used)
+        looped = [link for loop in self.closed_loops for link in loop.frames]
+        return self._read(self._ways((*looped, *links)))
 
     @checked
     def bearing_on(self, links: Iterable[str]) -> tuple[str, ...]:
@@ -304,21 +301,27 @@ class Robot:
         asked = tuple(links)
         if self.weights is not None:
             soft = {term.reading for term in self.terms if kind_of(term).masses != "none"}
-            following = np.any(self.coupling[:, [reading.name in soft for reading in self.readings]] != 0.0, axis=1)
-            # A term of no reading is of every link.
-            every = bool(self.loops) or "" in soft
-            yielding = soft | {
-                self.chain[i].name
-                for i, follows in zip(self.moving, following.tolist(), strict=True)
-                if follows or every
-            }
+            if self.loops:  # by which any joint of one may load any other
+                soft |= {self.chain[i].name for i in self.moving}
 
-            def carrying(of: Iterable[str]) -> set[str]:
-                return {joint.name for link in of for joint in self._path(link)} & yielding
+            def loading(of: Iterable[str]) -> set[str]:
+                ways = self._ways(of)
+                # Joints that follow one reading load its drive, whichever links they carry.
+                return soft & {*ways, *self._read(ways)}
 
-            own = carrying(asked)
-            asked += tuple(link for link in self.links if not own.isdisjoint(carrying((link,))))
+            own = loading(asked)
+            asked += tuple(link for link in self.links if not own.isdisjoint(loading((link,))))
         return self.driving(asked)
+
+    def _ways(self, links: Iterable[str]) -> set[str]:
+        """Return the names of the joints between these links and the base."""
+        return {joint.name for link in links for joint in self._path(link)}
+
+    def _read(self, joints: Collection[str]) -> tuple[str, ...]:
+        """Return the names of the readings that move some of these joints."""
+        moving = [self.chain[i].name in joints for i in self.moving]
+        used = np.any(self.coupling[moving] != 0.0, axis=0)
+        return tuple(reading.name for reading, is_used in zip(self.readings, used, strict=True) if is_used)
 
     def _path(self, link: str) -> Iterator[ChainJoint]:
         """Yield the joints from a link back to the base."""

@@ -195,9 +195,7 @@ def test_only_what_hangs_on_the_same_joints_has_to_be_told(torso: str) -> None:
             assert fit.value(f"{joint}.elastic") == pytest.approx(compliance, rel=0.03)
         assert calib.verify(calib.machine_of(fit), measured("right")).passed
         return
-    every = {reading.name for reading in robot.readings}
-    beams = machines.model(robot, bending="arm").robot
-    assert set(model.robot.bearing_on(("right_hand",))) == set(beams.bearing_on(("right_hand",))) == every
+    assert set(model.robot.bearing_on(("right_hand",))) == {reading.name for reading in robot.readings}
     with pytest.raises(MeasurementError, match=r"no column 'right_lift', 'right_bend' of a joint, .* loads on joints"):
         calib.identify(model, tables)
     tools, tips = {"left": BALL, "right": BALL}, {"right": "right_hand"}
