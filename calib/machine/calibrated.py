@@ -213,12 +213,6 @@ class CalibratedMachine:
         Raises MeasurementError for others, for streams by a clock that only their fit knows, and where joints are not
         told whose arm weighs on joints of these rows.
         """
-        bearing = self.robot.bearing_on((data.tip or self.robot.tip,)) if data.absent else ()
-        if missing := [name for name in data.absent if name in bearing]:
-            raise MeasurementError(
-                f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which is needed for "
-                "loads on joints that give way."
-            )
         if not data.uses.keys().isdisjoint(SHIFTS):
             raise MeasurementError(
                 f"{data.where}: its clock is free, and a machine by itself does not know it; judge these rows with "
@@ -239,6 +233,12 @@ class CalibratedMachine:
                 )
         tools, setups = tuple(self.tools), tuple(self.bases)
         number, place = numbers("tool", tools, data.tools), numbers("set-up", setups, data.setups)
+        bearing = self.robot.bearing_on((data.tip or self.robot.tip,)) if data.absent else ()
+        if missing := [name for name in data.absent if name in bearing]:
+            raise MeasurementError(
+                f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which is needed for "
+                "loads on joints that give way."
+            )
         return replace(data, tools=tools, tool=number[data.tool], setups=setups, setup=place[data.setup])
 
     @property

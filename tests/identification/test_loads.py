@@ -202,6 +202,9 @@ def test_only_what_hangs_on_the_same_joints_has_to_be_told(torso: str) -> None:
     machine = calib.CalibratedMachine(model.robot, model.robot.no_deviations(), base, tools, tool_tips=tips)
     with pytest.raises(MeasurementError, match=r"no column 'left_lift', 'left_bend' of a joint, .* loads on joints"):
         machine.residuals(tables[1])
+    # Of a tool of the other arm, the columns are not what is wrong.
+    with pytest.raises(MeasurementError, match="the tool 'left' is on 'left_hand', and the rows are of 'right_hand'"):
+        machine.residuals(replace(tables[1], tools=("left",)))
 
 
 def arms() -> list[calib.Robot]:
