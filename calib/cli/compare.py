@@ -25,13 +25,15 @@ def compare(
         from calib.foundations.files import refuse_taken, write_new
         from calib.machine.model_file import load_machine
         from calib.presentation.acceptance_tables import change_sheet, comparison_sentences
-        from calib.presentation.console import strong
+        from calib.presentation.console import strong, warning
+        from calib.results.result_file import doubted, not_trusted
     refuse_taken(out)
     with telling.progress(steps=2) as say:
         say("reading both models")
         before, after = (load_machine(folder) for folder in (old, new))
         say("comparing")
         found = compared(before, after)
+    notes = list(map(not_trusted, doubted(old, new)))
     if out is not None:
         from calib.presentation.report.page import render_page
         from calib.results.side_by_side import side_by_side
@@ -39,4 +41,7 @@ def compare(
         write_new(out, render_page(side_by_side((old, new), found)))
     changes = [change_sheet(found)] if found.changes else []
     *said, moved = comparison_sentences(found)
-    telling.tell(found.contents, lambda: [*changes, *said, strong(moved)])
+    telling.tell(
+        lambda: {**found.contents(), "notes": notes},
+        lambda: [*map(warning, notes), *changes, *said, strong(moved)],
+    )

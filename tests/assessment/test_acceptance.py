@@ -774,6 +774,7 @@ def test_verify_passes_and_fails(case: Path) -> None:
         ("export", "OUT", "--to", "offsets", "-o", "offsets.csv"),
         ("compensate", "OUT", "validation.csv", "--frame", "instrument", "-o", "corrected.csv"),
         ("performance", "OUT", "cone.csv"),
+        ("compare", "OUT", "OUT"),
     ],
     ids=lambda command: command[0],
 )
