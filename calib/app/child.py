@@ -15,7 +15,7 @@ from typing import Any
 from calib_start import loading
 
 with loading():
-    from calib.app.folder import JOB, MADE, PHOTOGRAPHS, RESULTS, gather, refuse_other_files
+    from calib.app.folder import JOB, MADE, PHOTOGRAPHS, RESULT, RESULTS, gather, refuse_links, refuse_other_files
     from calib.foundations.errors import LITTLE_MEMORY, CalibError, JobError, OutputError
     from calib.foundations.files import read_bytes, sentences, write_atomically
     from calib.foundations.words import shown
@@ -96,6 +96,7 @@ def check(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:  # noqa: ARG0
 def run(asked: Mapping[str, Any], say: Steps) -> dict[str, Any]:  # noqa: ARG001 - as the others
     """Calibrate, and return the verdict of the report."""
     _refuse_outside()
+    refuse_links(Path(), [Path(RESULT)])
     _, report = calibrated(Path(JOB), Path(RESULTS), say, say.expect)
     verdict = report.verdict
     tiles = [{"label": tile.label, "value": tile.value} for tile in verdict.tiles]

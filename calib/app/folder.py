@@ -376,6 +376,7 @@ def refuse_other_files(folder: Path, names: Collection[str]) -> None:
     Else keep their names: such files are replaced and removed from now on.
     """
     made = _made_here(folder)
+    refuse_links(folder, (folder / name for name in names))
     for name in names:
         if name not in made and os.path.lexists(folder / name):
             raise OutputError(f"{shown(name)}: was not made by this page, and is not replaced; move it away.")
@@ -383,8 +384,9 @@ def refuse_other_files(folder: Path, names: Collection[str]) -> None:
 
 
 def _remove_made(folder: Path) -> None:
-    """Remove what :func:`gather` has made, and the folders that are then empty."""
+    """Remove what :func:`gather` has made, and the folders that are then empty. Raises OutputError for links."""
     gone = {name for name in _made_here(folder) if name.startswith(f"{ROBOT}/")}
+    refuse_links(folder, (folder / name for name in gone))
     for name in gone:
         with contextlib.suppress(OSError):
             (folder / name).unlink()
@@ -422,6 +424,7 @@ def take(folder: Path, name: str, data: bytes, there: Mapping[str, int]) -> str:
     """
     plain = name_here(name)
     place = _place(folder, plain)
+    refuse_links(folder, [place])
     others = [size for known, size in there.items() if known != plain]
     if len(others) >= _MOST_FILES:
         raise OutputError(f"{shown(plain)}: is one file more than the {_MOST_FILES} that are allowed.")
@@ -444,8 +447,20 @@ def _holds(place: Path, data: bytes) -> bool:
 
 def remove(folder: Path, name: str) -> None:
     """Remove a dropped file, if it is there. Raises OutputError where it cannot be."""
+    place = _place(folder, name_here(name))
+    refuse_links(folder, [place])
     with sentences(shown(name), OutputError, "cannot be removed"):
-        _place(folder, name_here(name)).unlink(missing_ok=True)
+        place.unlink(missing_ok=True)
+
+
+def refuse_links(folder: Path, places: Iterable[Path]) -> None:
+    """Raise OutputError where a folder between this one and a file in it is a link: the file would be somebody else's.
+
+    A person may have put the link there while the page is served.
+    """
+    for above in sorted({above for place in places for above in place.parents if folder in above.parents}):
+        if os.path.islink(above):  # noqa: PTH114 - also of a name longer than the file system takes
+            raise OutputError(f"{shown(above.name)}: is a link, which this page does not follow; move it away.")
 
 
 def is_there(folder: Path, name: str) -> bool:

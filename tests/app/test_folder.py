@@ -18,6 +18,7 @@ import pytest
 
 from calib.app.folder import (
     MOST_OF_ARCHIVE,
+    RESULT,
     SESSION,
     apart,
     as_zip,
@@ -27,7 +28,9 @@ from calib.app.folder import (
     name_here,
     plain_name,
     private_folder,
+    refuse_links,
     refuse_other_files,
+    remove,
     take,
     unpacked,
 )
@@ -220,6 +223,35 @@ def test_the_folder_as_one_file_has_no_links(tmp_path: Path) -> None:
     with as_zip(tmp_path) as file, zipfile.ZipFile(file) as archive:
         assert archive.namelist() == ["calibration/measured.csv", "calibration/results/report.html"]
         assert archive.read("calibration/measured.csv") == b"m"
+
+
+def test_no_file_is_removed_or_replaced_behind_a_link(tmp_path: Path) -> None:
+    page, others = tmp_path / "page", tmp_path / "others"
+    page.mkdir()
+    take(page, "arm.urdf", b"<robot/>", {})
+    take(page, "m/a.stl", b"mesh", {})
+    gather(page, "arm.urdf", ["package://m/a.stl"], ["m/a.stl"])
+    (page / "results").mkdir()
+    for name in ("robot", "meshes", "results"):
+        shutil.copytree(page / name, others / name)
+        shutil.rmtree(page / name)
+        (page / name).symlink_to(others / name)
+    for file in ("robot/arm.urdf", "robot/m/a.stl", "meshes/m/a.stl"):
+        (others / file).write_bytes(b"of somebody else")
+    with pytest.raises(OutputError, match=r"^'robot': is a link, which this page does not follow; move it away\.$"):
+        gather(page, "arm.urdf", ["package://m/a.stl"], ["m/a.stl"])
+    for told in (
+        lambda: take(page, "m/a.stl", b"mesh", {"m/a.stl": 4}),
+        lambda: take(page, "m/b.stl", b"mesh", {}),
+        lambda: remove(page, "m/a.stl"),
+        lambda: refuse_other_files(page, ["robot/new.urdf"]),
+        lambda: refuse_links(page, [page / RESULT]),
+    ):
+        with pytest.raises(OutputError, match="is a link"):
+            told()
+    found = {path.relative_to(others).as_posix(): path.read_bytes() for path in others.rglob("*") if path.is_file()}
+    assert found == dict.fromkeys(("robot/arm.urdf", "robot/m/a.stl", "meshes/m/a.stl"), b"of somebody else")
+    take(page, "arm.urdf", b"<robot/>", {"arm.urdf": 8})  # what is in no such folder is taken
 
 
 def test_the_folder_as_one_file_is_not_made_on_a_full_disk_nor_for_nobody(
