@@ -58,7 +58,7 @@ async def serve(folder: Path | None, port: int, started: Callable[[str, str], No
             try:
                 await _told_to_end()
             finally:
-                await session.cancel()
+                await session.end()
 
 
 async def _told_to_end() -> None:

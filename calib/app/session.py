@@ -61,6 +61,7 @@ class Session:
         self._busy: dict[str, Any] | None = None
         self._begun = 0.0
         self._work: asyncio.Task[None] | None = None
+        self._over = False
         if (folder / SESSION).exists():
             self._go_on()
 
@@ -185,18 +186,28 @@ class Session:
         self._results = None
         self._begin("calibrate", {})
 
+    async def end(self) -> None:
+        """End the child process, and begin none any more.
+
+        Requests that are still answered would: asyncio waits without end for a child that is begun while its loop ends.
+        """
+        self._over = True
+        await self.cancel()
+
     async def cancel(self) -> None:
         """End the child process, if there is one, and wait until it has."""
         while self._work is not None:
             await self._end_work(self._work)
 
     async def _alone(self) -> None:
-        """End a look that is under way; refuse to change files under a calibration, or in a folder that is gone.
+        """End a look that is under way; refuse to change files under a calibration, or where folder or page is no more.
 
         Whoever waits for the end of a look may find that another window has begun something since.
         """
         while True:
             self.refuse_gone()
+            if self._over:
+                raise JobError("The page has ended.")
             if self._busy is not None and self._busy["verb"] == "calibrate":
                 raise JobError("A calibration is under way; wait for its end, or cancel it.")
             if self._work is None:

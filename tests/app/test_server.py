@@ -1,6 +1,8 @@
 """The requests of the page: who may ask, what files may hold, and how work is cancelled."""
 
 import asyncio
+import contextlib
+import http.client
 import json
 import os
 import re
@@ -628,3 +630,27 @@ def test_bad_folders_and_ports_are_said_in_a_sentence(tmp_path: Path) -> None:
         assert (said.code, said.out) == (1, "")
         assert said.err.startswith(f"Error: {left / SESSION}: was not written by this page; choose another folder.")
     assert run("app", "--port", "70000").code == 2
+
+
+def test_ctrl_c_ends_a_page_that_is_asked_all_the_time() -> None:
+    """A look that began while the server ended kept it from ending for good."""
+    server, over = Server(), threading.Event()
+
+    def asked() -> None:
+        with contextlib.suppress(OSError, http.client.HTTPException):
+            while not over.is_set():
+                server.ask("POST", "look", {"robot": PANDA, "answers": {}})
+
+    windows = [threading.Thread(target=asked) for _ in range(3)]
+    try:
+        for window in windows:
+            window.start()
+        time.sleep(0.1)
+        server.process.send_signal(signal.SIGINT)
+        assert server.process.communicate(timeout=60)[1] == ""
+        assert server.process.returncode == 0
+    finally:
+        over.set()
+        server.process.kill()
+        for window in windows:
+            window.join()
