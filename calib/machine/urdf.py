@@ -35,12 +35,13 @@ def calibrated_origins(robot: Robot, deviations: Deviations) -> Mapping[str, Arr
     shifts = dict(zip(moving, map(float, robot.offset_coupling @ deviations.offsets), strict=True))
     followed = dict(zip(moving, map(float, robot.coupling @ of_readings), strict=True))
     on_chain = {joint.name: (joint, d) for joint, d in zip(robot.chain, deviations.placements, strict=True)}
+    drivers = {name: (name, 1.0) for name in moving}
     origins: dict[str, Array] = {}
     for joint in robot.urdf.joints:
         if joint.name in shifts:
             shift = shifts[joint.name]
         else:
-            driver, multiple = _driver(robot, joint)
+            driver, multiple = _driver(robot, joint, drivers)
             shift = multiple * followed.get(driver, 0.0)
         motion = motions(joint, np.asarray(shift))
         if joint.name in on_chain:
@@ -108,14 +109,18 @@ def lost_in_urdf(
     return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
 
-def _driver(robot: Robot, joint: UrdfJoint) -> tuple[str, float]:
+def _driver(robot: Robot, joint: UrdfJoint, known: dict[str, tuple[str, float]]) -> tuple[str, float]:
     """Return the joint that a joint beside the arm mimics, on the arm or the last one, itself if none, and how often.
 
-    Joints of the arm are not followed any further: how these are coupled the robot knows.
+    ``known``: the answers so far, to which those of all joints on the way are added. It begins with the joints of the
+    arm, which are not followed any further: how these are coupled the robot knows.
     """
-    driver, multiple = joint, 1.0
-    moving = {robot.chain[i].name for i in robot.moving}
-    while driver.mimic is not None and driver.name not in moving:
-        multiple *= driver.mimic.multiplier
-        driver = robot.urdf.joint(driver.mimic.joint)
-    return driver.name, multiple
+    followers: list[tuple[str, float]] = []
+    while joint.mimic is not None and joint.name not in known:
+        followers.append((joint.name, joint.mimic.multiplier))
+        joint = robot.urdf.joint(joint.mimic.joint)
+    driver, multiple = known.get(joint.name, (joint.name, 1.0))
+    for name, times in reversed(followers):
+        multiple *= times
+        known[name] = driver, multiple
+    return driver, multiple

@@ -137,6 +137,25 @@ def test_joints_beside_the_arm_that_mimic_it_take_over_its_offsets() -> None:
     assert origins["finger"][:3, 3].tolist() == [0, 0, 1]
 
 
+def test_of_a_long_chain_of_mimics_each_is_followed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 100 joints, each following the one before, the last comes first in the file and all take over its offset."""
+    n = 100
+    beside = "".join(
+        f'<link name="f{k}"/><joint name="f{k}" type="revolute"><parent link="base"/><child link="f{k}"/>'
+        f'<axis xyz="0 0 1"/><mimic joint="{f"f{k - 1}" if k else "lift"}" multiplier="-1"/></joint>'
+        for k in reversed(range(n))
+    )
+    robot = machines.load(machines.INLINE["mimic"].replace("</robot>", beside + "</robot>"), "tip")
+    zeros = np.zeros(len(robot.moving))
+    zeros[1] = 0.01  # lift
+    asked: list[str] = []
+    monkeypatch.setattr(type(robot.urdf), "joint", lambda urdf, name: asked.append(name) or urdf._by_name[name])
+    origins = calibrated_origins(robot, calib.Deviations(np.zeros((len(robot.chain), 6)), zeros))
+    turns = [np.arctan2(origins[f"f{k}"][1, 0], origins[f"f{k}"][0, 0]) for k in range(n)]
+    np.testing.assert_allclose(turns, np.where(np.arange(n) % 2, 0.01, -0.01), atol=1e-15)
+    assert len(asked) <= 2 * n
+
+
 def test_difference_from_the_machine_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     robot = machines.load(machines.INLINE["skew"], "tip")
     monkeypatch.setattr(compensation, "splice_origins", lambda source, *_: source)
