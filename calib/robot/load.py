@@ -71,6 +71,7 @@ def load_robot(
     chain = _chain(joints)
     moving = [joint for joint in joints if joint.type != "fixed"]
     closed = tuple(_loop(document, loop, joints, moving) for loop in loops)
+    _refuse_twice(document, couplings, loops)
     passive = [moving[j].name for loop in closed for j in loop.passive]
     readings, coupling, coupling_offset = _couple(document, moving, passive, {c.joint: c for c in couplings})
     # A joint that is read itself moves, by its offset, all that are coupled to it; a coupled one moves itself.
@@ -239,6 +240,27 @@ def _loop(document: Urdf, loop: ClosedLoop, joints: Sequence[UrdfJoint], moving:
     a, b = (index.get(link, -1) for link in loop.frames)
     passive = tuple(numbers[name] for name in loop.passive)
     return Loop(loop.name, (a, b), tuple("xyz".index(axis) for axis in loop.closes), passive)
+
+
+def _refuse_twice(document: Urdf, couplings: Sequence[Coupling], loops: Sequence[ClosedLoop]) -> None:
+    """Raise RobotError where a joint is coupled twice, or is passive in two loops: only one could determine it."""
+    coupled: set[str] = set()
+    for coupling in couplings:
+        if coupling.joint in coupled:
+            raise RobotError(
+                f"{document.where}: joint {coupling.joint!r} has two couplings; write one with the drivers of both, or "
+                "leave one out."
+            )
+        coupled.add(coupling.joint)
+    loop_of: dict[str, str] = {}
+    for loop in loops:
+        for name in loop.passive:
+            if name in loop_of:
+                raise RobotError(
+                    f"{document.where}: loops {loop_of[name]!r} and {loop.name!r} have one passive joint, {name!r}, "
+                    "which only one of them can determine."
+                )
+            loop_of[name] = loop.name
 
 
 def _couple(

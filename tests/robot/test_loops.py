@@ -349,6 +349,10 @@ def test_a_coupling_with_two_drivers_is_the_counter_rotating_link() -> None:
             "loop.urdf:1: the coupling of joint 'roll' has 'roll' itself among its drivers; put one more joint where "
             "it is into the URDF, which follows the others, and leave it its own reading.",
         ),
+        (
+            [Coupling("roll", {"lower": 1.0}), Coupling("roll", {"crank": 1.0})],
+            "loop.urdf: joint 'roll' has two couplings; write one with the drivers of both, or leave one out.",
+        ),
     ],
 )
 def test_wrong_couplings_are_refused(couplings: list[Coupling], sentence: str) -> None:
@@ -358,6 +362,16 @@ def test_wrong_couplings_are_refused(couplings: list[Coupling], sentence: str) -
 
 
 # ---- what is refused
+
+
+def test_a_joint_is_passive_in_one_loop_alone() -> None:
+    again = ClosedLoop("again", ("rod_end", "pin"), ("x", "z"), ("elbow", "rod"))
+    with pytest.raises(RobotError) as caught:
+        load(four_bar_urdf(), "tip", PARALLELOGRAM, again)
+    assert str(caught.value) == (
+        "loop.urdf: loops 'parallelogram' and 'again' have one passive joint, 'elbow', which only one of them can "
+        "determine."
+    )
 
 
 @pytest.mark.parametrize(
