@@ -394,8 +394,11 @@ def _common_readings(old: CalibratedMachine, new: CalibratedMachine, seed: int) 
     known = (machine.known_uncertainty.closure_determinant for machine in (old, new))
     determinants = [one for one in known if one is not None]
     nearest = max(determinants, key=abs) if len({one > 0.0 for one in determinants}) == 1 else None
-    # Loops are those of the old robot, whose deviations have another order where its arms have.
-    machines = (old.deviations, new.deviations if order == sorted(order) else None)
+    # Loops are those of the old robot, whose deviations have another order where its arms have, and maybe other terms.
+    later = new.deviations
+    if new.robot.terms != old.robot.terms:
+        later = replace(later, terms=np.zeros_like(old.deviations.terms))
+    machines = (old.deviations, later if order == sorted(order) else None)
     return random_readings(old.robot, _SAMPLES, limits, machines, determinant=nearest, seed=seed)
 
 

@@ -180,6 +180,21 @@ def test_offsets_of_torques_are_told_in_their_unit(tmp_path: Path) -> None:
         assert cases.run(*command, "-q") == (0, "", "")
 
 
+def test_machines_with_a_loop_are_compared_with_and_without_terms(tmp_path: Path) -> None:
+    """The loop of both is looked at on one robot, which has the terms of one of them alone."""
+    shutil.copytree(CASE, tmp_path / "case")
+    text = (CASE / JOB).read_text(encoding="utf-8")
+    assert GIVEN in text
+    (tmp_path / "case" / "bare.toml").write_text(
+        text.replace(GIVEN, "").replace(', harmonics = "0.1 mrad"', ""), "utf-8"
+    )
+    for job, out in ((JOB, "terms"), ("bare.toml", "bare")):
+        assert cases.run("calibrate", tmp_path / "case" / job, "-o", tmp_path / out, "-q").code in (0, 3)
+    for pair in (("terms", "bare"), ("bare", "terms")):
+        said = cases.run("compare", *(tmp_path / out for out in pair), "-q")
+        assert (said.code in (0, 3), said.err.startswith("Error")) == (True, False)
+
+
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.key)
 def test_every_coefficient_has_a_unit_that_is_shown(kind: Kind) -> None:
     for name in kind.names:
