@@ -233,7 +233,7 @@ class CalibratedMachine:
                 )
         tools, setups = tuple(self.tools), tuple(self.bases)
         number, place = numbers("tool", tools, data.tools), numbers("set-up", setups, data.setups)
-        bearing = self.robot.bearing_on((data.tip or self.robot.tip,)) if data.absent else ()
+        bearing = self.robot.bearing_on(data.links_about(self.robot)) if data.absent else ()
         if missing := [name for name in data.absent if name in bearing]:
             raise MeasurementError(
                 f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which is needed for "

@@ -128,7 +128,7 @@ def not_placed(machine: CalibratedMachine, tool: str | Sequence[str] = "tool") -
     hold in the instrument's frame, and poses and positions in the base link are missed by it. Nothing is said of a
     machine without an uncertainty. Raises MeasurementError when there is no tool of a name.
     """
-    wanted = {machine.tool_named(name) for name in ((tool,) if isinstance(tool, str) else tool)}
+    wanted = set(map(machine.tool_named, dict.fromkeys((tool,) if isinstance(tool, str) else tool)))
     if machine.uncertainty is None:
         return ()
     layout, basis, said = machine.layout, machine.uncertainty.null_basis, []

@@ -129,8 +129,7 @@ def unreached(m: Measurements, asked: Collection[str] = ()) -> tuple[Finding, ..
 
 def sides_asked(m: Measurements, robot: Robot) -> frozenset[str]:
     """Return the readings that move what rows are about, and of which a joint term follows the side."""
-    links = {m.tip or robot.tip, *(m.target_links[name] for name in m.seen_targets if name in m.target_links)}
-    return sided(robot.terms) & frozenset(robot.driving(links))
+    return sided(robot.terms) & frozenset(robot.driving(m.links_about(robot)))
 
 
 # ---- readings

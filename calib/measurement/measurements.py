@@ -184,6 +184,12 @@ class Measurements:
         return max(robot.reach_at(self.readings), 1.0 * MM)
 
     @checked
+    def links_about(self, robot: Robot) -> frozenset[str]:
+        """Return the links that rows are about: the one with the tools, and those of the targets that are seen."""
+        of_targets = (self.target_links[name] for name in self.seen_targets if name in self.target_links)
+        return frozenset((self.tip or robot.tip, *of_targets))
+
+    @checked
     def carrying(self, robot: Robot, payload: Payload) -> "Measurements":
         """Return the rows as measured with a payload: on the link that it names, else on the one with the tools.
 

@@ -206,7 +206,7 @@ def _common_links(sets: Sequence[Measurements]) -> dict[str, str]:
 def _refuse_absent(model: ErrorModel, sets: Sequence[Measurements]) -> None:
     """Refuse links that the robot does not have, and rows without a joint that moves what they are about."""
     for data in sets:
-        links = {data.tip, *(data.target_links[name] for name in data.seen_targets if name in data.target_links)}
+        links = data.links_about(model.robot)
         for link in sorted(links - set(model.robot.links)):
             raise MeasurementError(
                 f"{data.where}: {link!r} is not one of the links that the robot was loaded with: "

@@ -163,6 +163,11 @@ def _beginning(packed: memoryview, most: int) -> bytes:
     return b""
 
 
+def _inside(kind: int, inside: memoryview, most: int) -> bytes:
+    """Return what is inside an element, unpacked: as many bytes of it at most."""
+    return _beginning(inside, 8 + most)[8:] if kind == _PACKED else bytes(inside[:most])
+
+
 def _without_objects(data: bytes) -> tuple[bytes, list[str]]:
     """Return a MATLAB file without objects and what has no name, where these keep their values; and their names.
 
@@ -171,8 +176,7 @@ def _without_objects(data: bytes) -> tuple[bytes, list[str]]:
     names: list[str] = []
     others: list[memoryview] = []
     for kind, whole, inside in _elements(data):
-        head = _beginning(inside, 8 + _HEAD)[8:] if kind == _PACKED else bytes(inside[:_HEAD])
-        is_object, name = _class_and_name(head, _order(data))
+        is_object, name = _class_and_name(_inside(kind, inside, _HEAD), _order(data))
         if is_object:
             names.append(name or "?")
         elif name != "":
@@ -207,7 +211,7 @@ def _is_typed(kind: int, inside: memoryview, order: str) -> bool:
 
     SciPy looks up the type in a table without an end, and takes what is there for memory of its own.
     """
-    head = _beginning(inside, 8 + _HEAD)[8:] if kind == _PACKED else bytes(inside[:_HEAD])
+    head = _inside(kind, inside, _HEAD)
     try:
         (flags,) = struct.unpack_from(f"{order}I", head, 8)
         if flags & 0xFF not in _MATRICES:
@@ -217,8 +221,7 @@ def _is_typed(kind: int, inside: memoryview, order: str) -> bool:
             *_, at = _tag(head, at, order)
         stored, _, _, after = _tag(head, at, order)
         if flags & _COMPLEX and stored in _STORED_AS:
-            whole = _beginning(inside, _LARGEST)[8:] if kind == _PACKED else bytes(inside)
-            stored, *_ = _tag(whole, after, order)
+            stored, *_ = _tag(_inside(kind, inside, _LARGEST), after, order)
     except struct.error:
         return False
     return stored in _STORED_AS
