@@ -45,7 +45,8 @@ def init(
     tell_check(telling, looked, (*warnings, *found.reasons), {"job": str(output)})
     if not telling.as_json:
         goes_on = f"calib calibrate {shlex.quote(str(output))} -o out/"
-        telling.tell(dict, lambda: [f"{output} is written; {goes_on} goes on."])
+        then = f"{goes_on} goes on" if looked.seen.numbers > looked.seen.rank else "it needs more poses"
+        telling.tell(dict, lambda: [f"{output} is written; {then}."])
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from calib.assessment.advice import null_space_advice, told_briefly
+from calib.assessment.checks.of_fit import too_few
 from calib.foundations.words import counted
 from calib.identification.observability import Observability, observability
 from calib.job.inputs import Inputs, load
@@ -49,4 +50,7 @@ def looked_at(inputs: Inputs, say: Callable[[str], None], *, every: bool = False
     seen = observability(inputs.model, inputs.identify)
     advised = [a.sentence for a in null_space_advice(inputs.model, inputs.identify, seen.undetermined)]
     brief = advised if every else told_briefly(inputs.model, inputs.identify, seen.undetermined, advised)
-    return Looked([finding.sentence for finding in inputs.findings], seen, advised, brief)
+    findings = [finding.sentence for finding in inputs.findings]
+    # Levels free some parameters each.
+    scarce = "" if inputs.job.levels else too_few(seen, inputs.model, inputs.identify)
+    return Looked([*findings, scarce] if scarce else findings, seen, advised, brief)

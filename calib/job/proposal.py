@@ -70,7 +70,8 @@ class Proposal:
                                        columns=found.tables[0].columns)
 
     ``reasons``: one sentence for everything that was concluded. ``questions``: what could not be; ``tables`` is
-    complete only when there are none. ``urdf``: as it was given.
+    complete only when there are none. ``urdf``: as it was given. ``placements``: whether link placements are free; else
+    joint offsets alone, as of few rows.
     """
 
     __repr__ = brief
@@ -80,6 +81,7 @@ class Proposal:
     tables: tuple[ProposedTable, ...]
     reasons: tuple[str, ...]
     questions: tuple[Question, ...]
+    placements: bool = True
 
     @checked
     def job(self, folder: Path | None = None) -> str:
@@ -95,7 +97,7 @@ class Proposal:
             "",
             "[error_model]",
             'offsets = "all"',
-            'placements = "all"',
+            f'placements = "{"all" if self.placements else "none"}"',
             'base = "pose"',
             f'tool = "{tool}"',
         ]

@@ -4,11 +4,14 @@ Names list candidates; the nominal arm, base and tool put where they explain mos
 are right it follows, wrong ones it does not. Where two readings fit alike, that is asked, never guessed.
 """
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from calib.assessment.checks.of_errors import POSES
+from calib.assessment.checks.of_fit import FREEDOM
 from calib.foundations.arguments import checked
 from calib.foundations.errors import CalibError, JobError, MeasurementError
 from calib.foundations.files import read_bytes
@@ -31,7 +34,7 @@ from calib.robot.load import load_robot
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
 
-_HELD_OUT = 0.25
+_HELD_OUT, _MOST_HELD_OUT = 0.25, 0.5
 # Kinds that columns tell; other kinds need what only a job says.
 _TOLD_APART: tuple[Kind, ...] = ("position", "pose", "socket", "distance")
 # What tables have whose tools and set-ups nobody names.
@@ -93,7 +96,8 @@ def propose(
         )
     shared, said = _shared_out(tables)
     named, why = _named_apart(robot, shared)
-    return Proposal(str(urdf), robot, named, (*reasons, *said, *why), ())
+    offsets_alone = _too_few_for_placements(robot, named)
+    return Proposal(str(urdf), robot, named, (*reasons, *said, *why, *offsets_alone), (), not offsets_alone)
 
 
 def _refuse_answers(answers: Answers) -> None:
@@ -132,7 +136,7 @@ def _shared_out(tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, .
         return tuple(
             replace(table, use="validate" if judge else "identify") for table, judge in zip(tables, judged, strict=True)
         ), said
-    shared = tuple(replace(table, hold_out=_HELD_OUT) for table in tables)
+    shared = tuple(replace(table, hold_out=_share(table)) for table in tables)
     return shared, [f"{table.file}: {_shares(table)} to judge the rest." for table in shared]
 
 
@@ -168,10 +172,43 @@ def _named_apart(robot: Robot, tables: Sequence[ProposedTable]) -> tuple[tuple[P
     return named, [f"{', '.join(name)}: {found.sentence}."]
 
 
+def _share(table: ProposedTable) -> float:
+    """Return the share to hold out: of few rows as many as judge a fit, and at most half of them."""
+    if table.observes == "socket" or not table.rows:
+        return _HELD_OUT
+    return round(min(max(_HELD_OUT, POSES / table.rows), _MOST_HELD_OUT), 2)
+
+
 def _shares(table: ProposedTable) -> str:
     if table.observes == "socket":
         return "a quarter of its sockets, at least one, is held out with all its rows"
+    if table.hold_out and table.hold_out > _HELD_OUT:
+        return f"{round(table.hold_out * table.rows)} of its {table.rows} rows are held out"
     return f"a quarter of its {table.rows} rows is held out"
+
+
+def _too_few_for_placements(robot: Robot, tables: Sequence[ProposedTable]) -> list[str]:
+    """Return why joint offsets alone are free, where the rows leave too little to judge link placements by."""
+    own = [table for table in tables if table.use == "identify"]
+    if not own or not all(table.observes in ("position", "pose") for table in own):
+        return []
+    of_tool = 6 if any(table.observes == "pose" for table in own) else 3
+    tools, setups = ({getattr(table, what) for table in own} for what in ("tool", "setup"))
+    # What poses determine of an arm with its base and its tool: L. J. Everett, M. Driels, B. W. Mooring, Kinematic
+    # modelling for robot calibration, ICRA 1987. Positions do not determine the orientation of the tool.
+    slides = robot.moving_types.count("prismatic")
+    determined = 4 * (len(robot.moving_types) - slides) + 2 * slides + 6 * (len(setups) - 1) + of_tool * len(tools)
+    of_row = [6 if table.observes == "pose" else 3 for table in own]
+    numbers = sum(each * table.rows * (1.0 - (table.hold_out or 0.0)) for each, table in zip(of_row, own, strict=True))
+    needed = determined + FREEDOM
+    if numbers >= needed:
+        return []
+    rows = sum(table.rows for table in own)
+    enough = math.ceil(needed / min(of_row) / (1.0 - _HELD_OUT if own[0].hold_out else 1.0))
+    return [
+        f"{counted(rows, 'row')} {'is' if rows == 1 else 'are'} too few to find link placements, which need about "
+        f"{enough}: joint offsets alone are free."
+    ]
 
 
 def reading_that_fits(file: Path, robot: Robot, observes: Kind) -> str:

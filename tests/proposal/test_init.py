@@ -473,3 +473,40 @@ def test_an_arm_of_fixed_joints_has_nothing_to_calibrate(tmp_path: Path, more: t
     table.write_text("j [deg], x [mm], y [mm], z [mm]\n1, 2, 3, 4\n2, 3, 4, 5\n")
     sentence = f"Error: {urdf}: no joint moves{way}, and there is nothing to calibrate.\n"
     assert run("check", urdf, table, *more) == (1, "", sentence)
+
+
+def few(n: int) -> None:
+    """Write n rows."""
+    s, joints = session(n=n, seed=n), [f"A{k} [deg]" for k in range(1, 7)]
+    table = [np.degrees(s.readings), 1e3 * s.position]
+    Path("measured.csv").write_text(text([*joints, "x [mm]", "y [mm]", "z [mm]"], table), encoding="utf-8")
+
+
+@pytest.mark.parametrize(("n", "placements", "held_out"), [(12, "none", 4), (16, "none", 4), (18, "all", 4)])
+def test_few_rows_free_what_they_can_judge(folder: Path, n: int, placements: str, held_out: int) -> None:
+    """Of 12 rows a job with link placements was written, which ``calib calibrate`` refused."""
+    few(n)
+    said = run("init", UR10, "measured.csv", "--yes")
+    assert said.code == 0
+    job = tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))
+    assert job["error_model"]["placements"] == placements
+    assert round(job["measurements"][0]["hold_out"] * n) == held_out
+    why = f"{n} rows are too few to find link placements, which need about 17: joint offsets alone are free."
+    assert (why in " ".join(said.out.split())) == (placements == "none")
+    assert "calib calibrate calibration.toml -o out/ goes on." in " ".join(said.out.split())
+    assert run("calibrate", "calibration.toml", "-o", "out", "-q").code in (0, 3)
+    of = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))["checks"]
+    assert all(check["passed"] for check in of if check["name"] in ("redundancy", "held-out poses"))
+
+
+@pytest.mark.parametrize(("n", "left"), [(8, "none is left to judge a fit by: it is refused"), (10, "5 are left")])
+def test_what_rows_cannot_judge_is_told_before_it_is_solved(folder: Path, n: int, left: str) -> None:
+    """``calib check`` found nothing, and ``calib calibrate`` refused its job."""
+    few(n)
+    said = run("init", UR10, "measured.csv", "--yes")
+    checked = run("check", "calibration.toml")
+    for out in (said.out, checked.out):
+        assert f"parameters, and {left}" in " ".join(out.split())
+        assert "Measure more poses, or free fewer parameters." in " ".join(out.split())
+    assert ("it needs more poses." in said.out) == (n == 8)
+    assert run("calibrate", "calibration.toml", "-o", "out", "-q").code == (1 if n == 8 else 3)

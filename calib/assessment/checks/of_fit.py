@@ -1,11 +1,15 @@
 """Checks of the fit itself: whether it ended, and what it leaves beside the stated noise."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from calib.assessment.judged import NOTHING, Check
 from calib.foundations.chance import bound
+from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.noise import Noise
+from calib.identification.observability import Observability
 from calib.measurement.kinds import QUANTITIES, UNIT_OF
 from calib.measurement.measurements import Measurements
 from calib.measurement.poses import same_pose
@@ -19,6 +23,7 @@ ROUNDING = 1e-9
 SIGMA, OF_REACH = 30.0, 5e-4
 # A sigma is said to be too large from this factor.
 TOO_LARGE = 3.0
+_MEASURE_MORE = "Measure more poses, or free fewer parameters."
 
 
 def convergence(fit: Fit) -> Check:
@@ -38,7 +43,7 @@ def redundancy(fit: Fit, doubt: str = "") -> Check:
     """
     numbers = sum(r.size for r in fit.residuals)
     again = sum(
-        r.shape[1] * _told_before(data, under_conditions=bool(fit.robot.terms))
+        r.shape[1] * told_before(data, under_conditions=bool(fit.robot.terms))
         for data, r in zip(fit.measurements, fit.residuals, strict=True)
     )
     free = sum(noise.degrees_of_freedom for noise in fit.noise_by_rows) - again
@@ -49,7 +54,30 @@ def redundancy(fit: Fit, doubt: str = "") -> Check:
     return Check.judged("redundancy", free, FREEDOM, said, f"; at least {FREEDOM:g} are needed.", least=True)
 
 
-def _told_before(data: Measurements, *, under_conditions: bool) -> int:
+def too_few(seen: Observability, model: ErrorModel, measurements: Sequence[Measurements]) -> str:
+    """Return what :func:`redundancy` will say of such measurements where it cannot pass; empty where it may.
+
+    Stated priors and known relations judge a fit as well, and are not counted: of these nothing is said.
+    """
+    if any(parameter.is_stated for parameter in seen.parameters) or model.relations:
+        return ""
+    again = sum(
+        data.sigma.shape[1] * told_before(data, under_conditions=bool(model.robot.terms)) for data in measurements
+    )
+    left = seen.numbers - again - seen.rank
+    if left >= FREEDOM:
+        return ""
+    told = (
+        f"{seen.numbers - again} measured numbers of different poses determine {seen.rank} combinations of parameters"
+    )
+    if seen.numbers <= seen.rank:
+        return f"{told}, and none is left to judge a fit by: it is refused. {_MEASURE_MORE}"
+    return (
+        f"{told}, and {max(left, 0)} are left to judge a fit by, which is trusted from {FREEDOM:g} on. {_MEASURE_MORE}"
+    )
+
+
+def told_before(data: Measurements, *, under_conditions: bool) -> int:
     """Return how many rows are of a pose, and of the same thing measured there, that another row tells of already.
 
     ``under_conditions``: what joint terms depend on is a pose of its own. Rows in motion are not compared.
