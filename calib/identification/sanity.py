@@ -8,14 +8,15 @@ nor hide one.
 
 What no data can tell apart is said together: where a free base or tool takes the rest, the sign of an outer joint and
 half a turn of the one next to it (UR10: joints 1 and 2, and 6 and 5; Panda: 1 and 2). A zero that a free base or tool
-absorbs is no mistake. Two mistakes at once are not searched; no single one explains them, and that is said.
+absorbs is no mistake. Two mistakes at once are not searched, but for two neighbouring zeros; no single one explains
+them, and that is said.
 
 Photographs of a board are taken for the poses that they show (:mod:`calib.identification.photographed_poses`).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, combinations, islice, pairwise
+from itertools import combinations, islice, pairwise, product
 from typing import Literal
 
 import numpy as np
@@ -204,14 +205,26 @@ def _signatures(
     every = tuple(range(len(sets)))
     tables = _trials_of_tables(model, sets) if len(every) > 1 and _seen(sets) and not camera_on else []
     tried: list[_Trial] = []
-    for scope in chain([every], _alone(model, sets)):
-        best, *others = _likeliest([*_trials(model, sets, scope, camera_on), *tables])
+    for scope, two_zeros in _ways(model, sets, missed > _LARGE * reach):
+        trials = _trials(model, sets, scope, camera_on, two_zeros=two_zeros)
+        if two_zeros and not trials:
+            continue
+        best, *others = _likeliest(trials if two_zeros else [*trials, *tables])
         # Readings that are made too small explain positions that hardly change: a robot that stands still does so too.
         still = _still([best.mistake.mend(sets[i]) for i in scope]) if _seen(sets) else np.inf
         if missed > _CLEARLY * best.counted and best.miss < min(_EXPLAINED * reach, still):
             return (_explained(model, sets, missed, best, others),)
         tried.append(best)
     return (_unexplained(model, sets, missed, min(tried, key=_counted)),) if missed > _LARGE * reach else ()
+
+
+def _ways(model: ErrorModel, sets: Sequence[Measurements], far: bool) -> Iterator[tuple[tuple[int, ...], bool]]:
+    """Yield the tables in which a mistake may be, and whether it is two zeros: only where the arm is ``far`` off."""
+    every = tuple(range(len(sets)))
+    yield every, False
+    yield from ((scope, False) for scope in _alone(model, sets))
+    if far:
+        yield every, True
 
 
 def _alone(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[tuple[int, ...]]:
@@ -345,9 +358,14 @@ def _counted(trial: _Trial) -> float:
 
 
 def _trials(
-    model: ErrorModel, sets: Sequence[Measurements], scope: tuple[int, ...], camera_on: CameraPlace | None
+    model: ErrorModel,
+    sets: Sequence[Measurements],
+    scope: tuple[int, ...],
+    camera_on: CameraPlace | None,
+    *,
+    two_zeros: bool = False,
 ) -> list[_Trial]:
-    """Return trials of the promising mistakes."""
+    """Return trials of the promising mistakes; ``two_zeros``: of two zeros together alone."""
 
     def mended(mistake: Mistake) -> list[Measurements]:
         return [mistake.mend(data) if i in scope else data for i, data in enumerate(sets)]
@@ -358,13 +376,13 @@ def _trials(
     most = _MOST_TRIED if seen else _MOST_TRIED_UNSEEN
     readings = model.robot.readings if len(model.robot.readings) <= most else ()
     others = _of_frames(model, chosen, camera_on) if seen else _of_indicators(chosen)
-    table = (*_of_readings(readings, units=seen), *others)
+    table = tuple(_of_two_zeros(readings)) if two_zeros else (*_of_readings(readings, units=seen), *others)
     # A free base costs a search among all rotations, which few mistakes are worth: a linear fit screens them.
     # Of lengths the start shows no tool; one step does.
     screen = (_relaxed_miss if model.base == "pose" else _first_miss) if seen else _second_miss
     screened = [_reached(screen, model, mended(mistake)) for mistake in table]
     promising = [table[i] for i in np.sort(np.argsort(screened, kind="stable")[:_PROMISING])]
-    mistakes = (*promising, *(_not_in_screening(model, chosen, camera_on) if seen else ()))
+    mistakes = (*promising, *(_not_in_screening(model, chosen, camera_on) if seen and not two_zeros else ()))
     return [_Trial(mistake, scope, _reached(_miss, model, mended(mistake))) for mistake in mistakes]
 
 
@@ -509,6 +527,16 @@ def _of_readings(readings: Sequence[Reading], *, units: bool) -> Iterator[Mistak
         its = np.array([reading.dimension == dimension for reading in readings])
         if its.any():
             yield Mistake("reading-unit", says, otherwise_read(np.where(its, factor, 1.0)))
+
+
+def _of_two_zeros(readings: Sequence[Reading]) -> Iterator[Mistake]:
+    """Yield two neighbouring zeros that are others: of an arm that is drawn straight, and at zero has a bent elbow."""
+    ones = np.eye(len(readings))
+    for i, (a, b) in enumerate(pairwise(readings)):
+        for first, second in product((90, -90), repeat=2) if a.dimension == b.dimension == "angle" else ():
+            says = f"{a.name!r} and {b.name!r} are read from other zeros and need {first:+d} and {second:+d} deg"
+            offset = DEG * (first * ones[i] + second * ones[i + 1])
+            yield Mistake("shifted-zero", says, otherwise_read(offset=offset))
 
 
 def _of_frames(model: ErrorModel, sets: Sequence[Measurements], camera_on: CameraPlace | None) -> Iterator[Mistake]:

@@ -132,6 +132,21 @@ def test_the_verdict_is_the_conjunction_of_the_checks(cell: Cell, fit: calib.Fit
     assert harmless.trusted
 
 
+def test_joint_offsets_that_explain_a_miss_are_named(cell: Cell, fit: calib.Fit) -> None:
+    """Of readings from other zeros nothing said what to do, though the fit found them."""
+    finding = Finding("warning", "unexplained", "No mistake explains it.")
+    offset = next(k for k, parameter in enumerate(fit.parameters) if parameter.kind == "offset")
+    far = np.where(np.arange(len(fit.values)) == offset, 0.5, fit.values)
+    name = fit.parameters[offset].name.removesuffix(".offset")
+    (said,) = of_arm.naming_zeros(replace(fit, values=far), [finding], 0.001)
+    assert said.sentence == (
+        f"No mistake explains it. The fit explains it by joint offsets: {name!r} by +29 deg. Where the readings have "
+        "these zeros, calibrate again with calibrated.urdf of this result as the URDF."
+    )
+    for left, of in ((0.05, replace(fit, values=far)), (0.001, fit)):
+        assert of_arm.naming_zeros(of, [finding], left) == (finding,)
+
+
 def test_rows_that_are_copies_are_not_trusted(cell: Cell) -> None:
     """Twice the rows that were measured would make every sigma too small by the root of two."""
     data, held_out = cell.measured(cell.draw(40)), cell.measured(cell.draw(20))

@@ -457,6 +457,18 @@ def test_two_mistakes_are_not_taken_for_one() -> None:
     )
 
 
+@pytest.mark.parametrize(("first", "second"), [(90.0, -90.0), (-90.0, 90.0), (-90.0, -90.0)])
+@pytest.mark.parametrize("observes", ["position", "pose"])
+def test_two_zeros_of_an_elbow(observes: str, first: float, second: float) -> None:
+    """Makers read an arm from where its elbow is bent, and its URDF is drawn straight: nothing explained it."""
+    lab = Lab("ur10", observes)
+    a, b = "shoulder_lift_joint", "elbow_joint"
+    moved = joint(a, lambda q: q - np.radians(first)), joint(b, lambda q: q - np.radians(second))
+    (finding,) = signatures(lab.model(), [lab.measure(lambda columns: moved[1](moved[0](columns)))])
+    assert (finding.severity, finding.code) == ("error", "shifted-zero")
+    assert f"{a!r} and {b!r} are read from other zeros and need {first:+.0f} and {second:+.0f} deg" in finding.sentence
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_wrong_base_is_asked_for(seed: int) -> None:
     lab = Lab("panda", seed=seed)

@@ -510,3 +510,13 @@ def test_what_rows_cannot_judge_is_told_before_it_is_solved(folder: Path, n: int
         assert "Measure more poses, or free fewer parameters." in " ".join(out.split())
     assert ("it needs more poses." in said.out) == (n == 8)
     assert run("calibrate", "calibration.toml", "-o", "out", "-q").code == (1 if n == 8 else 3)
+
+
+def test_a_mistake_that_explains_why_no_way_fits_is_named(folder: Path) -> None:
+    """Only signs and the order of joints were asked for, and how titles are to be read."""
+    s, joints = session(), [f"A{k} [deg]" for k in range(1, 7)]
+    table = [np.degrees(s.readings) + np.array([0.0, 90.0, -90.0, 0.0, 0.0, 0.0]), 1e3 * s.position]
+    (folder / "measured.csv").write_text(text([*joints, "x [mm]", "y [mm]", "z [mm]"], table), encoding="utf-8")
+    said = " ".join(run("init", UR10, "measured.csv", "--yes").err.split())
+    assert "'shoulder_lift_joint' and 'elbow_joint' are read from other zeros and need -90 and +90 deg" in said
+    assert said.endswith("; answer by a table or a URDF in which this is corrected.")

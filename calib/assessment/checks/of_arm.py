@@ -12,7 +12,8 @@ from calib.assessment.judged import NOTHING, Check, JudgedSet
 from calib.assessment.stretches import Stretch
 from calib.foundations.arrays import Array, BoolArray
 from calib.foundations.linear import Gathered, svd
-from calib.foundations.units import MM
+from calib.foundations.units import DEG, MM
+from calib.foundations.words import first_of, shown
 from calib.identification.fit import Fit
 from calib.identification.identifiability import MOVED, NUMERICAL_TOLERANCE
 from calib.identification.machine import values_at
@@ -47,6 +48,9 @@ SHORT = ("sphere", "pair_distance")
 _AXES = 3
 # In m: a tool point from its link, the base from the instrument.
 FAR_BASE = 100.0
+# A joint offset above it, in rad, is another zero and no error; a fit that leaves a smaller share of the spread
+# explains why the nominal robot misses.
+OTHER_ZERO, EXPLAINS = 10.0 * DEG, 0.01
 # Warnings about the input that count.
 COUNTED = (
     "unexplained",
@@ -372,6 +376,25 @@ def wrong_lens(blame: Blame) -> Check:
         f'{blame.left:.2g} px with the lens free. Write lens = "free", and the size of the images.'
     )
     return Check.of("lens", without / blame.left, float(np.sqrt(2.0)), not blame.lens_is_wrong, said)
+
+
+def naming_zeros(fit: Fit, findings: Sequence[Finding], left: float) -> tuple[Finding, ...]:
+    """Return findings; that nothing explains the miss of the nominal robot names the joint offsets that do.
+
+    ``left``: of the spread, after the fit. A user alone knows whether the readings have other zeros than the URDF.
+    """
+    far = [
+        f"{shown(parameter.name.removesuffix('.offset'))} by {value / DEG:+.0f} deg"
+        for parameter, value in zip(fit.parameters, fit.values, strict=True)
+        if parameter.kind == "offset" and parameter.unit == "rad" and abs(value) > OTHER_ZERO
+    ]
+    if not far or left > EXPLAINS:
+        return tuple(findings)
+    more = (
+        f" The fit explains it by joint offsets: {', '.join(first_of(far))}. Where the readings have these zeros, "
+        "calibrate again with calibrated.urdf of this result as the URDF."
+    )
+    return tuple(replace(one, sentence=one.sentence + more) if one.code == "unexplained" else one for one in findings)
 
 
 def warnings(findings: Sequence[Finding]) -> Check:

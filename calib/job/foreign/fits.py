@@ -10,10 +10,13 @@ from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import MM, UNITS
 from calib.foundations.words import first_of, shown
+from calib.identification.error_model import error_model
 from calib.identification.followed import FEWEST_ROWS, Followed, followed, strays
+from calib.identification.sanity import signatures
 from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension, run_of, values_of
 from calib.job.foreign.seen import Seen
 from calib.job.proposal import About
+from calib.measurement.arrays import positions
 from calib.measurement.bodies import points_of_one_body
 from calib.measurement.cells import to_import
 from calib.measurement.raw import RawColumn
@@ -349,13 +352,16 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
         if strayed is not None:
             raise strayed
         best = trials[0]
+        mistake = _mistake_in(seen, best)
         raise ask(
             "columns",
             f"{where}: no way to read the columns fits the arm: the best, {seen.titles(best.pick.joints.columns)} in "
             f"{best.units[0]} and the point in {best.units[2]}, leaves {best.fit.share:.0%} of the spread of the "
-            "points; is it this robot, and are signs and the order of joints those of the URDF?",
+            f"points; {mistake or 'is it this robot, and are signs, zeros and the order of joints those of the URDF?'}",
             (),
-            "--column 'NAME [UNIT]=TITLE' for all joints, --angles and --lengths",
+            "a table or a URDF in which this is corrected"
+            if mistake
+            else "--column 'NAME [UNIT]=TITLE' for all joints, --angles and --lengths",
         )
     angle, slide = units_by_limits(seen, pick)
     length = _length_by_reach(seen, pick, trials[0].point)
@@ -368,6 +374,18 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
                 )
             return trial
     raise AssertionError("units come from the trials")
+
+
+def _mistake_in(seen: Seen, best: Trial) -> str:
+    """Return the mistake that explains why an arm does not follow; empty where none does."""
+    robot = seen.robot(best.pick.arm)
+    angle, slide, _ = best.units
+    q = readings_in(robot, _columns_of(seen, best.pick)[0], angle, slide)[best.rows]
+    data = positions(robot, q, best.position)
+    for finding in signatures(error_model(robot), [data]):
+        if finding.severity == "error":
+            return finding.sentence.removeprefix(f"{data.where}: ").removesuffix(".")
+    return ""
 
 
 def several_joints(seen: Seen, picks: Sequence[Pick]) -> AskedError:
