@@ -36,7 +36,7 @@ def load_robot(
     gravity: Sequence[float] = STANDARD_GRAVITY,
     payload: Payload | None = None,
 ) -> Robot:
-    """Load the arm from link ``base`` (default: the root link) to link ``tip`` (default: the only leaf link).
+    """Load the arm from link ``base`` to link ``tip``; by default from the root to the only leaf that a joint moves.
 
         robot = calib.load_robot("humanoid.urdf", "right_hand", links=["left_hand", "head"])
 
@@ -171,9 +171,19 @@ def _known_link(document: Urdf, name: str, role: str) -> str:
 def _only_leaf(document: Urdf) -> str:
     parents = {joint.parent for joint in document.joints}
     leaves = [link for link in document.links if link not in parents]
+    # A frame on the base, as ROS-Industrial's `base` or a camera's, is moved by no joint.
+    leaves = [link for link in leaves if _is_moved(document, link)] or leaves
     if len(leaves) != 1:
         raise RobotError(f"{document.where}: which link is the tip? Choose one of {_list(leaves)}.")
     return leaves[0]
+
+
+def _is_moved(document: Urdf, link: str) -> bool:
+    """Return whether a joint that is not fixed leads to a link."""
+    joint = document.parent_joint(link)
+    while joint is not None and joint.type == "fixed":
+        joint = document.parent_joint(joint.parent)
+    return joint is not None
 
 
 def _list(names: Sequence[str], most: int = 12) -> str:

@@ -150,6 +150,12 @@ def test_a_deviation_is_a_motion_in_the_frame_whose_z_is_the_axis(name: str) -> 
     np.testing.assert_allclose(motion.placement[:, :3, 3], expected[:, :3, 3], atol=1e-13)
 
 
+def test_frames_on_the_base_are_no_tips() -> None:
+    """ROS-Industrial's arms carry a fixed frame `base` beside `tool0`."""
+    text = robot(links("abct"), joint("a", "b"), joint("a", "c", "fixed"), joint("b", "t", "fixed"))
+    assert load(text).tip == "t"
+
+
 # ---- what is refused
 
 
