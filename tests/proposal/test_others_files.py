@@ -290,6 +290,54 @@ def test_a_gripper_that_the_log_has_as_well_is_no_joint_of_the_arm(folder: Path,
     assert found.tables[0].columns.ignore == tuple(fingers)
 
 
+def test_a_gripper_in_percent_is_no_joint_where_sockets_are_touched_either(folder: Path) -> None:
+    arm = "example:so_arm_description/urdf/so101.urdf"
+    nominal, rng = calib.load_robot(arm, "gripper_frame_link"), np.random.default_rng(1)
+    place = np.array([[0.2, -0.1, 0.1], [0.25, 0.1, 0.15], [0.2, 0.0, 0.2]])
+    q, c = rng.uniform(-0.6, 0.6, (300, 5)), np.tile(place, (100, 1))
+    for _ in range(20):  # Newton's steps to the sockets
+        x = nominal.tips(q)[:, :3, 3]
+        J = np.stack([(nominal.tips(q + 1e-6 * one)[:, :3, 3] - x) / 1e-6 for one in np.eye(5)], axis=2)
+        q += np.clip(np.einsum("nij,nj->ni", np.linalg.pinv(J, rcond=1e-3), c - x), -0.3, 0.3)
+    there = np.flatnonzero((np.linalg.norm(nominal.tips(q)[:, :3, 3] - c, axis=1) < 1e-6) & (np.abs(q).max(axis=1) < 2))
+    q, sockets = q[there] + rng.normal(0.0, 1e-3, (len(there), 5)), [f"hole {k % 3}" for k in there]
+    titles = [f"{joint}.pos" for joint in ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")]
+    percent = rng.uniform(0.0, 100.0, len(q))
+    (folder / "touches.csv").write_text(text([*titles, "gripper.pos", "socket"], [np.degrees(q), percent, sockets]))
+    found = calib.measuring.propose(arm, ["touches.csv"])
+    assert not found.questions, found.questions
+    assert found.tables[0].observes == "socket" and found.tables[0].columns.ignore == ("gripper.pos",)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_fingers_that_jitter_are_left_out_whatever_chance_says(folder: Path, seed: int) -> None:
+    """Their readings make the fit a little better in one log and a little worse in the next, in mm as in m."""
+    arm = "example:panda_description/urdf/panda.urdf"
+    seen = session(arm, "panda_hand")
+    finger = 0.035 + 1e-5 * np.random.default_rng(seed).standard_normal(40)
+    joints = [f"panda_joint{k}" for k in range(1, 8)]
+    titles = [*joints, "panda_finger_joint1", "panda_finger_joint2", "x", "y", "z"]
+    (folder / "states.csv").write_text(text(titles, [seen.readings, finger, finger, seen.position]))
+    found = calib.measuring.propose(arm, ["states.csv"])
+    assert not found.questions and found.robot is not None
+    assert [reading.name for reading in found.robot.readings] == joints
+
+
+@pytest.mark.parametrize("carries", [False, True])
+def test_a_point_on_a_finger_that_slides_moves_with_it(folder: Path, carries: bool) -> None:
+    arm = "example:panda_description/urdf/panda.urdf"
+    seen = session(arm, "panda_hand")
+    finger = np.random.default_rng(2).uniform(0.0, 0.04, 40)
+    hand = seen.rotation @ Rotation.from_rotvec([0.4, -0.9, 1.3]).inv().as_matrix()
+    position = seen.position + (finger[:, None] * hand[:, :, 1] if carries else 0.0)
+    joints = [f"panda_joint{k}" for k in range(1, 8)]
+    titles = [*joints, "panda_finger_joint1", "x", "y", "z"]
+    (folder / "states.csv").write_text(text(titles, [seen.readings, finger, position]))
+    found = calib.measuring.propose(arm, ["states.csv"])
+    assert not found.questions and found.robot is not None
+    assert ("panda_finger_joint1" in [reading.name for reading in found.robot.readings]) == carries
+
+
 @pytest.mark.parametrize("posed", [False, True])
 def test_a_last_joint_that_is_called_like_a_gripper_is_one_of_the_arm(folder: Path, posed: bool) -> None:
     """A point on its axis, as of a flange, moves with it as without it: only the orientation would tell."""

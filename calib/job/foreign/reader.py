@@ -24,8 +24,9 @@ from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TORQUE, Column
 from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf
 
-# An arm without its fingers fits no worse: by rounding alone, as a factor and as a share.
-_NO_WORSE, _NO_SHARE = 1 + 1e-6, 1e-9
+# An arm without its fingers fits no worse: by rounding alone, as a share; by chance, three standard deviations of what
+# fingers that carry nothing take off the sum of squares.
+_NO_SHARE, _BY_CHANCE = 1e-9, 9.0
 
 
 def read(document: Urdf, raw: RawTable, answers: Answers, robot: Robot | None) -> Found:
@@ -74,8 +75,9 @@ def _positions(seen: Seen, picks: Sequence[Pick]) -> Found:
 def _less_fingers(seen: Seen, picks: Sequence[Pick], trials: list[Trial]) -> list[Trial]:
     """Return the trials of arms before their fingers where these fit no worse: what was measured is on no finger.
 
-    The readings of a gripper that never moved show nothing, and those of one that did are not the tool's. A point on
-    the axis of a joint that turned says nothing of that joint: there it must fit clearly better without.
+    The readings of a gripper that never moved show nothing, and those of one that did are not the tool's: with them, in
+    one unit or another, an arm fits a little better or worse by chance. A point on the axis of a joint that turned says
+    nothing of that joint: there it must fit clearly better without.
     """
     shorter = fits.trials(seen, without_fingers(seen, picks, by_name=True), ("m", "mm"), len(trials))
     if not shorter:
@@ -83,7 +85,8 @@ def _less_fingers(seen: Seen, picks: Sequence[Pick], trials: list[Trial]) -> lis
     less, whole = (min(some, key=lambda trial: trial.fit.share) for some in (shorter, trials))
     if _turned(seen, whole.pick) - _turned(seen, less.pick):
         return shorter if less.fit.share + _NO_SHARE <= whole.fit.share / fits.TIMES else trials
-    return shorter if less.fit.share <= whole.fit.share * _NO_WORSE + _NO_SHARE else trials
+    chance = float(np.sqrt(1.0 + _BY_CHANCE / (3 * len(less.rows))))
+    return shorter if less.fit.share <= whole.fit.share * chance + _NO_SHARE else trials
 
 
 def _turned(seen: Seen, pick: Pick) -> set[str]:
@@ -169,6 +172,7 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
             "and points that are in two files",
         )
     target = seen.raw.columns[targets[0]]
+    pick = _less_a_gripper(seen, pick, target) if kind == "socket" else pick
     units = _touched(seen, pick, target) if kind == "socket" else (*fits.units_by_limits(seen, pick), "m")
     seen.reasons.append(f"{seen.titles(pick.joints.columns)} are {run_of(pick.arm.joints)}, {pick.joints.why}")
     names = _names(seen, pick, units)
@@ -187,6 +191,15 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
     said = "rows of one name touch one point" if kind == "socket" else "lengths from the point that a row names"
     seen.reasons.append(f"{target.title!r} names the target: {said}")
     return _result(seen, pick, kind, names, None)
+
+
+def _less_a_gripper(seen: Seen, pick: Pick, target: RawColumn) -> Pick:
+    """Return the pick, or that of the arm before its fingers where rows of one target touch one point only so."""
+    for one in (pick, *without_fingers(seen, [pick])):
+        shares = _shares(seen, one, target)
+        if shares and shares[0][0] < fits.FOLLOWS and _is_clear(shares):
+            return one
+    return pick
 
 
 def _touched(seen: Seen, pick: Pick, target: RawColumn) -> tuple[str, str, str]:
