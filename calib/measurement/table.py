@@ -395,10 +395,10 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
             if (new := ours.pop(title.strip(), None) or ours.pop(name, None)) is not None:
                 called = title.strip()
                 (there,) = with_units([called], [units[k] if units else ""])
-                name, given = _split(new)
-                if symbol and given and symbol != given:
+                written, (name, given) = name, _split(new)
+                if symbol and given and symbol != given and not (columns.where_present and name == written):
                     raise HeaderError(f"column {title!r} is renamed to {new!r}, which has another unit")
-                symbol = given or symbol
+                symbol = symbol or given
             if name in names:
                 raise HeaderError(f"column {name!r} appears more than once")
             names.add(name)

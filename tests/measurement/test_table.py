@@ -219,6 +219,16 @@ def test_renaming_reads_headers_of_somebody_else(tmp_path: Path) -> None:
     assert table_from_frame(frame, columns={"x [mm]": "Tx (mm)"}).columns["x"].values.tolist() == [1e-3]
 
 
+def test_a_later_table_may_state_a_unit_that_the_measurements_did_not(tmp_path: Path) -> None:
+    """A job says the unit of a column called `j1`; one that is called `j1 [deg]` in another table has its own."""
+    columns = Columns({"j1 [rad]": "j1", "x [mm]": "x"}, where_present=True)
+    path = write(tmp_path, "j1 [deg], x\n180, 1\n")
+    found = read_table(path, columns).columns
+    assert found["j1"].values.tolist() == [np.pi] and found["x"].values.tolist() == [1e-3]
+    with pytest.raises(MeasurementError, match="has another unit"):
+        read_table(path, {"j1 [rad]": "j1", "x [mm]": "x"})
+
+
 @pytest.mark.parametrize(
     ("columns", "sentence"),
     [
