@@ -65,6 +65,8 @@ def _expanded(source: Path, output: Path) -> Iterator[tuple[str, tuple[str, ...]
     # What is wrong with it is told of a file that there is.
     parse_urdf(made, f"{source}: what xacro makes of it")
     urdf = output.parent / f"{name}.urdf"
+    if urdf.exists() and urdf.samefile(source):  # some call a xacro file a URDF
+        urdf = output.parent / f"{name}_expanded.urdf"
     if not os.path.lexists(urdf):
         with written_first(urdf, made):
             yield str(urdf), warnings

@@ -145,6 +145,18 @@ def test_the_urdf_of_a_xacro_file_stays_with_its_job(tmp_path: Path, monkeypatch
     assert (tmp_path / "arm.urdf").read_bytes() == expanded(tmp_path / "arm.urdf.xacro").urdf
 
 
+def test_a_xacro_file_that_is_called_a_urdf_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Elephant Robotics' are; a refusal without --xacro says to let calib init run it."""
+    pytest.importorskip("xacro")
+    monkeypatch.chdir(tmp_path)
+    put(tmp_path, "FANUC")
+    (tmp_path / "arm.urdf").write_bytes(Path(resolve(UR10)).read_bytes())
+    assert run("init", "arm.urdf", "measured.csv", "--xacro", "--yes").code == 0
+    assert 'urdf = "arm_expanded.urdf"' in (tmp_path / "calibration.toml").read_text()
+    assert (tmp_path / "arm_expanded.urdf").read_bytes() == expanded(tmp_path / "arm.urdf").urdf
+    assert (tmp_path / "arm.urdf").read_bytes() == Path(resolve(UR10)).read_bytes()
+
+
 def test_meshes_that_are_not_found_are_said_with_the_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     case = ROOT / "robots" / "arm_cmm"
