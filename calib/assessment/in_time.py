@@ -130,7 +130,8 @@ def unsettled(parts: Sequence[Stretch], C: Array) -> Effect:
     Drives brake together and come to rest at once: what is left is in proportion to how far each has come since the
     pose before, and of the farthest it is alike from pose to pose. Below zero where they were read at rest, and the
     instrument measured before. No effect of rows that are neighbours in no table, of streams, of kinds with two ends;
-    nor where the sides from which joints came explain more, as gaps of gears do, or a delay.
+    nor where the sides from which joints came explain more, as gaps of gears do, or a delay, or joints that move by
+    more or less than they read: their errors go with the readings, and so in part with the way from the pose before.
     """
     usable = [part for part in parts if part.data.other is None and not np.isfinite(part.step)]
     moves = [_moves(part) for part in usable]
@@ -140,7 +141,9 @@ def unsettled(parts: Sequence[Stretch], C: Array) -> Effect:
     sides = [part.by_joint * np.sign(move)[:, None, :] for part, move in zip(usable, moves, strict=True)]
     together = [motion.sum(axis=2) for motion in left]
     late = [np.einsum("ndk,nk->nd", part.by_joint, part.rates)[:, :, None] for part in usable]
-    gained = [_gained(usable, motions, C) for motions in ([own[:, :, None] for own in together], sides, late) if usable]
+    gains = [part.by_joint * part.values[:, None, :] for part in usable]
+    causes = ([own[:, :, None] for own in together], sides, late, gains)
+    gained = [_gained(usable, motions, C) for motions in causes if usable]
     return effect(usable, together, C) if gained and gained[0] > max(gained[1:]) else NO_EFFECT
 
 
