@@ -61,6 +61,21 @@ def test_interrupted_while_it_works(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
+@pytest.mark.parametrize(
+    "loads",
+    [
+        "from calib.presentation.meshes import primitive; primitive('box', (1.0, 1.0, 1.0), (0, 0, 0))",
+        "from calib.robot.mesh_files import parse_mesh; parse_mesh(b'OFF 3 1 0 0 0 0 1 0 0 0 1 0 3 0 1 2', '.off', ())",
+    ],
+)
+def test_interrupted_while_a_library_is_loaded_that_does_without_parts_of_its_own(loads: str) -> None:
+    """trimesh takes whatever comes while it loads a part for a part that is missing, and fails where it needs that."""
+    code = TERMINAL + AT_IMPORT.format(module="trimesh.path")
+    heard = f"try:\n    {loads}\nexcept KeyboardInterrupt:\n    import trimesh.base\n    print(trimesh.base.Path3D)\n"
+    done = start(code + heard)
+    assert done == (0, "<class 'trimesh.path.path.Path3D'>\n", "")
+
+
 def test_interrupted_before_its_options_are_known() -> None:
     at_first = (
         "import os, typer.main\n"

@@ -513,8 +513,9 @@ def as_zip(folder: Path, *, results: bool = True, wanted: Callable[[], bool] = l
 
 
 def _shown_to_others(folder: Path, *, results: bool) -> Iterator[Path]:
-    """Give the regular files that a person takes along."""
-    for place in (folder, *(folder / name for name in (MADE, PHOTOGRAPHS, ROBOT, *([RESULTS] if results else [])))):
+    """Give the regular files that a person takes along, none behind a link."""
+    inner = [folder / name for name in (MADE, PHOTOGRAPHS, ROBOT, *([RESULTS] if results else []))]
+    for place in (folder, *(one for one in inner if not one.is_symlink())):
         inside = place.rglob("*") if place.name == ROBOT else place.iterdir()
         for path in sorted(inside) if place.is_dir() else ():
             if path.is_file() and not path.is_symlink() and path.name not in (SESSION, _OURS, _SERVED):

@@ -1,10 +1,13 @@
-"""Modules that are loaded when they are first asked for (PEP 562)."""
+"""Modules that are loaded when they are first asked for (PEP 562), and libraries that must be loaded in one go."""
 
+import contextlib
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from importlib.util import find_spec
-from types import ModuleType
+from types import FrameType, ModuleType
 
 
 def submodules_of(package: str) -> Callable[[str], ModuleType]:
@@ -21,3 +24,23 @@ def submodules_of(package: str) -> Callable[[str], ModuleType]:
 def modules_on_use(package: str) -> None:
     """Load the modules of a package when they are first asked for; type checkers know them by their files alone."""
     vars(sys.modules[package])["__getattr__"] = submodules_of(package)
+
+
+@contextlib.contextmanager
+def loaded_in_one_go() -> Iterator[None]:
+    """Let Ctrl-C wait until the block has loaded a library that would take it for a part of its own that is missing.
+
+    Such a library goes on, and fails later where it needs that part. What the system does by itself, or ignores, stays.
+    """
+    handler = signal.getsignal(signal.SIGINT) if threading.current_thread() is threading.main_thread() else None
+    if not callable(handler):
+        yield
+        return
+    pressed: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: pressed.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    if pressed:
+        handler(*pressed[0])

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import scipy
 
 from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.lazy import loaded_in_one_go
 from calib.foundations.units import DEG
 from calib.robot.mesh_files import Rgb, Triangles
 
@@ -83,7 +84,8 @@ def primitive(kind: str, sizes: Sequence[float], rgb: Rgb, faces: int = 1280) ->
     if kind == "sphere":
         halvings = max(k for k in range(4) if k == 0 or 20 * 4**k <= faces)
         return balls(np.zeros((1, 3)), sizes[0], rgb, halvings)
-    from trimesh import creation  # noqa: PLC0415 - slow to load
+    with loaded_in_one_go():
+        from trimesh import creation  # noqa: PLC0415 - slow to load
 
     if kind == "box":
         mesh = creation.box(extents=sizes)

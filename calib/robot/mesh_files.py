@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.files import DAMAGED
+from calib.foundations.lazy import loaded_in_one_go
 from calib.foundations.sealing import sealed
 from calib.robot.mesh_counts import MOST_CORNERS, counts, without_pictures
 
@@ -62,7 +63,8 @@ def moved(part: Triangles, T: Array) -> Triangles:
 @cache
 def _trimesh() -> Any:
     """Return trimesh. What it says of textures that it does not find is not for the terminal."""
-    import trimesh  # noqa: PLC0415 - slow to load
+    with loaded_in_one_go():
+        import trimesh  # noqa: PLC0415 - slow to load
 
     logging.getLogger("trimesh").addHandler(logging.NullHandler())
     return trimesh

@@ -220,6 +220,10 @@ def test_the_folder_as_one_file_has_no_links(tmp_path: Path) -> None:
     (tmp_path / "results" / "report.html").write_text("r")
     (tmp_path / "measured.csv").write_text("m")
     (tmp_path / "link.csv").symlink_to("/etc/passwd")
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "arm_description").symlink_to("/etc")
+    for name in ("tables", "photographs"):
+        (tmp_path / name).symlink_to(tmp_path / "results")
     with as_zip(tmp_path) as file, zipfile.ZipFile(file) as archive:
         assert archive.namelist() == ["calibration/measured.csv", "calibration/results/report.html"]
         assert archive.read("calibration/measured.csv") == b"m"
