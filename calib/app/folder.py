@@ -194,6 +194,8 @@ def _alone_in(folder: Path) -> Iterator[int]:
     with sentences(folder, OutputError, "files cannot be kept in it"):
         handle = os.open(folder / _SERVED, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     try:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise OutputError(f"{folder}: its {_SERVED} is not a regular file; choose another folder.")
         if not alone_with(handle):
             raise OutputError(f"{folder}: another page is served from it; end that one, or choose another folder.")
         yield handle
@@ -356,13 +358,14 @@ def gather(folder: Path, robot: str, uris: Sequence[str], meshes: Sequence[str])
     refuse_other_files(folder, {urdf, *(name for name, _ in found.values())})
     with sentences(urdf, OutputError, "cannot be written"):
         (folder / ROBOT).mkdir(mode=0o700, exist_ok=True)
-        shutil.copyfile(folder / robot, folder / urdf)
+        (folder / urdf).write_bytes(read_inside(folder, robot, OutputError, LARGEST_FILE))
     for uri, (name, best) in found.items():
         place = folder / name
         try:
             place.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             if not place.exists():  # as where two uris are one path
-                shutil.copyfile(folder / _MESHES / best, place)
+                # What has taken the place of a dropped file, as a device that has no end, is not copied.
+                place.write_bytes(read_inside(folder / _MESHES, str(best), OutputError, LARGEST_FILE))
         except OSError as e:
             if e.errno in _UNWRITABLE:
                 raise OutputError(f"{ROBOT}: meshes cannot be written ({e.strerror}).") from e

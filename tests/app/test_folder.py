@@ -387,6 +387,22 @@ def test_meshes_are_put_where_the_robot_says_that_they_are(tmp_path: Path) -> No
     assert [path.name for path in (tmp_path / "robot").iterdir()] == ["arm.urdf"]
 
 
+def test_what_has_taken_the_place_of_a_dropped_mesh_is_not_copied(tmp_path: Path) -> None:
+    """Of a link to a device it would be copied without end."""
+    (tmp_path / "secret").write_text("secret")
+    (tmp_path / "arm.urdf").write_text("<robot/>")
+    dropped = ["m/link.stl", "m/pipe.stl", "m/mesh.stl"]
+    for name in dropped:
+        take(tmp_path, name, b"solid", {})
+    for name in dropped[:2]:
+        (tmp_path / "meshes" / name).unlink()
+    (tmp_path / "meshes/m/link.stl").symlink_to(tmp_path / "secret")
+    os.mkfifo(tmp_path / "meshes/m/pipe.stl")
+    uris = [f"package://{name}" for name in dropped]
+    assert gather(tmp_path, "arm.urdf", uris, dropped)[1] == uris[:2]
+    assert [path.name for path in (tmp_path / "robot/m").iterdir()] == ["mesh.stl"]
+
+
 def test_a_mesh_at_very_many_paths_does_not_fill_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("calib.app.folder._LARGEST_SUM", 1000)
     (tmp_path / "arm.urdf").write_text("<robot/>")
@@ -504,6 +520,10 @@ def test_a_folder_is_served_by_one_page_at_a_time(tmp_path: Path) -> None:
                 pytest.fail("was given")
             with as_zip(place) as file, zipfile.ZipFile(file) as archive:
                 assert archive.namelist() == []
+    (place / ".served").unlink()
+    os.mkfifo(place / ".served")
+    with pytest.raises(OutputError, match=r"its \.served is not a regular file"), private_folder(place):
+        pytest.fail("was given")
 
 
 @pytest.mark.parametrize("ending", [".urdf", ".stl"])
@@ -513,14 +533,14 @@ def test_a_full_disk_is_said_when_robot_and_meshes_are_put_together(
     """A mesh for which there is no room is not said to be missing among those that were dropped."""
     (tmp_path / "arm.urdf").write_text("<robot/>")
     take(tmp_path, "m/a.stl", b"solid", {})
-    copy = shutil.copyfile
+    write = Path.write_bytes
 
-    def full(source: Path, place: Path) -> None:
-        if source.suffix == ending:
+    def full(place: Path, data: bytes) -> int:
+        if place.suffix == ending:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        copy(source, place)
+        return write(place, data)
 
-    monkeypatch.setattr(shutil, "copyfile", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(OutputError, match=r"cannot be written \(No space left on device\)"):
         gather(tmp_path, "arm.urdf", ["package://m/a.stl"], ["m/a.stl"])
 
