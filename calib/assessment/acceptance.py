@@ -238,10 +238,9 @@ def _sigma(machine: CalibratedMachine, data: Measurements) -> Array:
     for k, quantity in enumerate(("position", "orientation")[: sigma.shape[1] // 3]):
         part = sigma[:, 3 * k : 3 * k + 3]
         if np.isnan(part).any():
-            raise MeasurementError(
-                f"{data.where}: the calibration was made without any {quantity}; verify by the kind of data it was "
-                "made from."
-            )
+            # Of photographs or gauges alone: `calib verify` takes none of them.
+            remedy = "verify by positions" if k else 'judge it in its job, by a table with use = "validate"'
+            raise MeasurementError(f"{data.where}: the calibration was made without any {quantity}; {remedy}.")
         if not (part > _LEAST_NOISE).all():
             raise MeasurementError(
                 f"{data.where}: neither the rows nor uncertainty.json of the calibration state any noise of a "

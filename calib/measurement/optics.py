@@ -89,8 +89,10 @@ def seen_by(data: Measurements, camera: Camera, board: Board | None = None) -> M
             if (mark < 0).any():
                 row = int(np.argmin(mark))
                 x, y, z = data.value[row, 2:] / MM
+                nearest = board.marks[np.argmin(np.linalg.norm(board.marks - data.value[row, 2:], axis=1))] / MM
                 raise MeasurementError(
-                    f"{data.where}:{data.lines[row]}: no mark of the board {board.name!r} is at {x:g}, {y:g}, {z:g} mm."
+                    f"{data.where}:{data.lines[row]}: no mark of the board {board.name!r} is at {x:g}, {y:g}, {z:g} "
+                    f"mm; the nearest is at {nearest[0]:g}, {nearest[1]:g}, {nearest[2]:g} mm."
                 )
             mark = read_only_view(mark) if board.shape != "flat" else None
     return replace(

@@ -46,7 +46,7 @@ SENTENCES: Mapping[str, tuple[tuple[str, Callable[[Case], bool]], ...]] = {
     ),
     "verify": (
         (
-            r"the calibration was made without any position; verify by the kind",
+            r"the calibration was made without any position; judge it in its job",
             lambda case: case.draft.kind == "pixels",
         ),
     ),

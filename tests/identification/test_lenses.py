@@ -169,13 +169,13 @@ def two(change: dict[str, object], board: Board | None = None) -> list[calib.Mea
                     scene(np.random.default_rng(2), NOMINAL, "tip"), 2, eye("tip"), Board(marks=2 * BOARD, shape="free")
                 )
             ],
-            "no mark of the board 'board' is at 0, 30, 0 mm",
+            "no mark of the board 'board' is at 0, 30, 0 mm; the nearest is at 0, 0, 0 mm",
         ),
         (
             lambda: [
                 photographed(scene(np.random.default_rng(2), NOMINAL, "tip"), 2, eye("tip"), Board(marks=2 * BOARD))
             ],
-            "no mark of the board 'board' is at 0, 30, 0 mm",
+            "no mark of the board 'board' is at 0, 30, 0 mm; the nearest is at 0, 0, 0 mm",
         ),
     ],
 )
