@@ -17,7 +17,7 @@ from calib.machine.place import Placed
 from calib.machine.residual_model import ResidualModel, shifted
 from calib.machine.tool_motion import tool_jacobian
 from calib.machine.uncertainty import Uncertainty
-from calib.measurement.measurements import ONLY_SETUP, Measurements
+from calib.measurement.measurements import ONLY_SETUP, Measurements, refuse_absent
 from calib.measurement.streams.stream import SHIFTS
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.joint_terms import in_setup
@@ -194,13 +194,10 @@ class CalibratedMachine:
     @checked
     def less_shifts(self, residuals: Array, data: Measurements) -> Array:
         """Return residuals (N, 3 or 6) of positions or poses less what the residual model adds to the prediction."""
-        if self.residual_model is None:
+        if self.residual_model is None or (data.tip and data.tip != self.robot.tip):
             return residuals
-        found = np.array(residuals)
-        if data.tip and data.tip != self.robot.tip:
-            return residuals
-        tips = data.tips(self.robot, self.deviations)
-        for name, number in zip(data.setups, range(len(data.setups)), strict=True):
+        found, tips = np.array(residuals), data.tips(self.robot, self.deviations)
+        for number, name in enumerate(data.setups):
             rows = data.setup == number
             if name in self.bases and rows.any():
                 found[rows, :3] -= self.residual_model.shifts(self.bases[name], tips[rows], data.readings[rows])
@@ -233,12 +230,7 @@ class CalibratedMachine:
                 )
         tools, setups = tuple(self.tools), tuple(self.bases)
         number, place = numbers("tool", tools, data.tools), numbers("set-up", setups, data.setups)
-        bearing = self.robot.bearing_on(data.links_about(self.robot)) if data.absent else ()
-        if missing := [name for name in data.absent if name in bearing]:
-            raise MeasurementError(
-                f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which is needed for "
-                "loads on joints that give way."
-            )
+        refuse_absent(self.robot, data)
         return replace(data, tools=tools, tool=number[data.tool], setups=setups, setup=place[data.setup])
 
     @property

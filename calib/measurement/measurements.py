@@ -351,6 +351,17 @@ def as_sets(measurements: Measurements | Sequence[Measurements]) -> tuple[Measur
     return sets
 
 
+def refuse_absent(robot: Robot, data: Measurements) -> None:
+    """Raise MeasurementError for rows whose table lacks the readings of joints that bear on what they are about."""
+    # What hangs on a joint that moves a link pulls at it, wherever that is.
+    bearing = robot.bearing_on(data.links_about(robot)) if data.absent else ()
+    if missing := [name for name in data.absent if name in bearing]:
+        raise MeasurementError(
+            f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which is needed for "
+            f"{'loads on joints that give way' if robot.weights is not None else 'the places of targets'}."
+        )
+
+
 _Rows = TypeVar("_Rows", "End", "Measurements")
 
 

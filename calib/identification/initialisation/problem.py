@@ -29,8 +29,9 @@ from calib.identification.solver import solve
 from calib.identification.system import Problem
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.kinds import IN_INSTRUMENT_FRAME
-from calib.measurement.measurements import ONLY_SETUP, Measurements
+from calib.measurement.measurements import ONLY_SETUP, Measurements, as_sets, refuse_absent
 from calib.robot.conditions import joined
+from calib.robot.robot import Robot
 from calib.robot.terms import kind_of
 from calib.robot.torques import expected_torques
 
@@ -45,9 +46,7 @@ def initial_problem(model: ErrorModel, measurements: Sequence[Measurements]) -> 
     Raises MeasurementError when there are none, when they are not of this robot, or a target is two things; JobError
     when a name means two things, a known or related target is in no measurement, or a tool needs its orientation free.
     """
-    if not measurements:
-        raise MeasurementError("there are no measurements to identify from.")
-    for data in measurements:
+    for data in as_sets(measurements):
         if not len(data):
             raise MeasurementError(f"{data.where}: has no rows to identify from.")
     sets = with_common_names(model, measurements)
@@ -114,7 +113,9 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
     _refuse_unfollowed_payloads(model, sets)
     links = _common_links(sets)
     _refuse_other_optics(sets)
-    _refuse_absent(model, sets)
+    for data in sets:
+        _refuse_other_links(model.robot, data)
+        refuse_absent(model.robot, data)
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
     setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
     every = tuple(dict.fromkeys(target for data in sets for target in data.targets))
@@ -203,22 +204,13 @@ def _common_links(sets: Sequence[Measurements]) -> dict[str, str]:
     return {target: link for target, link in stands.items() if link is not None}
 
 
-def _refuse_absent(model: ErrorModel, sets: Sequence[Measurements]) -> None:
-    """Refuse links that the robot does not have, and rows without a joint that moves what they are about."""
-    for data in sets:
-        links = data.links_about(model.robot)
-        for link in sorted(links - set(model.robot.links)):
-            raise MeasurementError(
-                f"{data.where}: {link!r} is not one of the links that the robot was loaded with: "
-                f"{', '.join(map(repr, model.robot.links))}."
-            )
-        # What hangs on a joint that moves the link pulls at it, wherever that is.
-        needed = model.robot.bearing_on(links) if data.absent else ()
-        if missing := [name for name in data.absent if name in needed]:
-            raise MeasurementError(
-                f"{data.where}: there is no column {', '.join(map(repr, missing))} of a joint, which is needed for "
-                f"{'loads on joints that give way' if model.robot.weights is not None else 'the places of targets'}."
-            )
+def _refuse_other_links(robot: Robot, data: Measurements) -> None:
+    """Refuse rows about links that the robot does not have."""
+    for link in sorted(data.links_about(robot) - set(robot.links)):
+        raise MeasurementError(
+            f"{data.where}: {link!r} is not one of the links that the robot was loaded with: "
+            f"{', '.join(map(repr, robot.links))}."
+        )
 
 
 def _refuse_unfollowed_payloads(model: ErrorModel, sets: Sequence[Measurements]) -> None:
