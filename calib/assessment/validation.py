@@ -29,6 +29,7 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near, residuals_of
 from calib.identification.losses import Loss, refuse_losses
+from calib.identification.machine import POSE
 from calib.identification.weights import refuse_number_of_sigmas
 from calib.measurement.kinds import QUANTITIES, Kind
 from calib.measurement.measurements import Measurements, as_sets
@@ -53,8 +54,6 @@ _BY = 0.9
 _LARGEST = 0.5
 # Poses between places.
 _BETWEEN = 200
-# Numbers of a pose.
-_OF_A_POSE = 6
 # Of fewer places that lie apart, each would be judged by too little else.
 _FEWEST_PLACES = 3
 
@@ -179,7 +178,7 @@ def _at_random(data: Measurements, group: IntArray, many: int, keep: Collection[
     for k in order:
         own = slice(*counts.indptr[k : k + 2])
         of, lost = counts.indices[own], counts.data[own]
-        if len(chosen) < many and (left[of] - lost >= _OF_A_POSE).all():
+        if len(chosen) < many and (left[of] - lost >= len(POSE)).all():
             left[of] -= lost
             chosen.append(int(k))
     return np.isin(group, chosen)

@@ -20,6 +20,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.sealing import sealed
 from calib.foundations.units import MM, MRAD, UNITS, Dimension
 from calib.foundations.words import listed, not_calibrated, refuse_other
+from calib.identification.machine import POSE
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.identified import not_placed
 from calib.measurement.columns import filled, orientations, stacked
@@ -39,9 +40,6 @@ from calib.measurement.table import (
 )
 from calib.robot.conditions import Conditions
 from calib.robot.transmission import lacking
-
-# Numbers of a pose.
-_OF_A_POSE = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,7 +202,7 @@ def corrections(
         joints = len(arm.driving((arm.tip,)))
         sought_poses = what == "pose" and (wanted.poses is None or wanted.poses.ndim == 3)
         hint = ""
-        if sought_poses and joints < _OF_A_POSE:
+        if sought_poses and joints < len(POSE):
             hint = (
                 f" An arm of {joints} joints meets a pose of the nominal one only nearly; ask for its position alone "
                 '(what = "position", --what position).'

@@ -34,7 +34,6 @@ from calib.robot.terms import KINDS, JointTerm, kind_of
 BaseFreedom = Literal["pose", "fixed"]
 ToolFreedom = Literal["pose", "position", "fixed"]
 
-# Where the range of each prior is told: :data:`calib.foundations.ranges.RANGES`.
 # Parameters that are alike share a prior whose width is learned; by kind, and whether they are lengths.
 _GROUPS = {
     ("placement", True): "link translations",

@@ -72,12 +72,13 @@ class Directions:
 
     def common_rank(self, threshold: float) -> int:
         """Return how many directions of common parameters are determined better than by a threshold."""
-        return int(np.count_nonzero(self.of_common > self._least(threshold)))
+        return int(np.count_nonzero(self.of_common > self.least(threshold)))
 
     def _above(self, threshold: float) -> int:
-        return self.common_rank(threshold) + int(np.count_nonzero(self.of_blocks > self._least(threshold)))
+        return self.common_rank(threshold) + int(np.count_nonzero(self.of_blocks > self.least(threshold)))
 
-    def _least(self, threshold: float) -> float:
+    def least(self, threshold: float) -> float:
+        """Return the threshold; where it is below what counts beside the largest singular value, that."""
         largest = max(float(self.of_common.max(initial=0.0)), float(self.of_blocks.max(initial=0.0)))
         return max(threshold, RANK_TOLERANCE * largest)
 
@@ -214,8 +215,7 @@ def _undetermined(rows: Arrow, reduced: Reduced, found: Directions, counted: Int
     Of weak directions of common unknowns, and of blocks by themselves, inverse iteration makes those of all unknowns
     (K.-J. Bathe, E. L. Wilson, *Solution methods for eigenvalue problems in structural mechanics*, 1973).
     """
-    largest = max(float(found.of_common.max(initial=0.0)), float(found.of_blocks.max(initial=0.0)))
-    least = max(NUMERICAL_TOLERANCE, RANK_TOLERANCE * largest)
+    least = found.least(NUMERICAL_TOLERANCE)
     split, p = rows.split, rows.split.size
     common = found.vectors[:, found.of_common <= _AROUND * least]
     block, column = np.nonzero(reduced.singular_values <= _AROUND * least)

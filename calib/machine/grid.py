@@ -1,4 +1,4 @@
-"""Level 3: what no model of the arm explains, measured at the corners of cells in joint space and interpolated.
+"""What no model of the arm explains, measured at the corners of cells in joint space and interpolated.
 
 A sector grid spans some of the joints; the others stood at a reference when its nodes were measured. The error vectors
 at the nodes, measured minus predicted, are kept in the axes of the base or of the tip link, whichever they follow.

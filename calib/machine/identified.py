@@ -12,6 +12,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array
 from calib.foundations.linear import svd
 from calib.foundations.units import DISPLAY_OF
+from calib.identification.machine import POSE
 from calib.identification.parameters import DEFAULT_SIGMA
 from calib.machine.calibrated import CalibratedMachine, readings_of
 from calib.machine.turns import turned_towards
@@ -25,8 +26,6 @@ from calib.robot.terms.kind import TEMPERATURE
 _SLACK, _ROUNDING = 0.05, 1e-9
 # The units in which conditions are told; the same ones are kept.
 _UNITS = {"temperature": "degC", "payload": "kg"}
-# Numbers of a placement.
-_OF_A_POSE = 6
 # In m, for deviations of one millimetre and milliradian: a tool point that the null space moves by more on its link has
 # no place in the base link, as the height of a tool that turned about the vertical alone. Of others it is a millimetre.
 _NOT_PLACED = 0.03
@@ -135,7 +134,7 @@ def not_placed(machine: CalibratedMachine, tool: str | Sequence[str] = "tool") -
     _, small, Vt = svd(basis[: layout.base] / DEFAULT_SIGMA)
     least = Vt.T / np.maximum(small, DEFAULT_SIGMA**2)
     for k, name in enumerate(machine.tools):
-        first = layout.tools + _OF_A_POSE * k
+        first = layout.tools + len(POSE) * k
         axes, far, _ = svd(basis[first : first + 3] @ least)
         if name in wanted and far.max(initial=0.0) > _NOT_PLACED:
             along = np.round(axes[:, 0] * np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0]), 2) + 0.0
