@@ -28,7 +28,7 @@ from calib.identification.arrow import Arrow
 from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import NullDirection
 from calib.identification.machine import Frames, Machine, machine, values_at
-from calib.identification.parameters import Parameter, directions, scales
+from calib.identification.parameters import Parameter, directions, refuse_none_free, scales
 from calib.machine.tool_motion import tool_jacobian, tool_poses
 from calib.measurement.table import nearest
 from calib.robot.conditions import REFERENCE_TEMPERATURE, Conditions
@@ -225,8 +225,7 @@ def _at_nominal(model: ErrorModel, readings: npt.ArrayLike) -> tuple[_Poses, Arr
     q = finite(readings, (None, len(names)), f"readings of shape {np.shape(readings)}: {needed}")
     tools = ("tool",)
     parameters = model.parameters(tools)
-    if not parameters:
-        raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
+    refuse_none_free(parameters)
     warm = Conditions(np.ones_like(q), np.full(len(q), REFERENCE_TEMPERATURE + 1.0), np.ones_like(q))
     warm = warm.in_time(np.zeros(len(q)))
     reference = model.given_frames(tools)

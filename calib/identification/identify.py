@@ -29,7 +29,7 @@ from calib.identification.minima import clearly_worse, searched, with_anchors
 from calib.identification.mirrored import mirrored, with_turns
 from calib.identification.noise import Noise, noise_of
 from calib.identification.not_seen import AlongNullSpace
-from calib.identification.parameters import Parameter, scales
+from calib.identification.parameters import Parameter, refuse_none_free, scales
 from calib.identification.repeats import Repeats
 from calib.identification.rows import photograph_numbers
 from calib.identification.solver import Near, Solution, solution_at, solve
@@ -167,8 +167,7 @@ def _identify(
     refuse_other(null_space, ("nearest", "minimal", "refuse"), "null_space")
     whole = initial_problem(model, as_sets(measurements))
     sets, parameters = whole.measurements, matching(whole.parameters, free)
-    if not parameters:
-        raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
+    refuse_none_free(parameters)
     variances = _stated(model_sigmas)
     if near is not None:
         whole = replace(whole, reference=_frames_of(near.nominal.frames, near, whole.reference, sets[0]))

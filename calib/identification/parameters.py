@@ -181,6 +181,12 @@ def width(kind: ParameterKind, unit: str, reach: float = 0.0) -> float:
     return max(reach, TOOL) if kind == "tool" and unit == "m" else FRAME_WIDTH
 
 
+def refuse_none_free(parameters: Sequence[Parameter]) -> None:
+    """Raise JobError where no parameter is free."""
+    if not parameters:
+        raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
+
+
 def scales(parameters: Sequence[Parameter]) -> Array:
     """Return the scales (p,) of the parameters."""
     return np.array([parameter.scale for parameter in parameters])

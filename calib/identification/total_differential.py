@@ -27,7 +27,7 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.identifiability import RANK_TOLERANCE
 from calib.identification.initialisation.problem import initial_problem
 from calib.identification.machine import Machine, values_at
-from calib.identification.parameters import Parameter, scales
+from calib.identification.parameters import Parameter, refuse_none_free, scales
 from calib.identification.system import Problem
 from calib.measurement.measurements import Measurements, as_sets
 
@@ -152,8 +152,7 @@ def _problem(model: ErrorModel, measurements: Measurements | Sequence[Measuremen
             )
     problem = initial_problem(model, sets)
     parameters = problem.parameters
-    if not parameters:
-        raise JobError("no parameter is free: free joint offsets, placements, the base or the tool.")
+    refuse_none_free(parameters)
     if any(parameter.prior is not None or parameter.group is not None for parameter in parameters):
         raise JobError(f"the total differential takes no priors; leave them out or use {_INSTEAD}.")
     if model.terms:

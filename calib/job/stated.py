@@ -14,7 +14,7 @@ from calib.foundations.files import read_bytes
 from calib.foundations.units import Dimension
 from calib.foundations.words import shown
 from calib.identification.error_model import ErrorModel, Known, error_model
-from calib.identification.parameters import Prior, Priors
+from calib.identification.parameters import Prior, Priors, refuse_none_free
 from calib.identification.relations import Relation
 from calib.identification.set_ups import SetUp
 from calib.identification.targets import Target
@@ -159,11 +159,9 @@ def _model(job: schema.Job, robot: Robot, path: Path) -> ErrorModel:
     except JobError as e:
         raise JobError(f"{path}: error_model.{e}") from e
     try:
-        free = model.parameters()
+        refuse_none_free(model.parameters())
     except JobError as e:  # of names that two joints or tools give, and no key
         raise JobError(f"{path}: error_model: {e}") from e
-    if not free:
-        raise JobError(f"{path}: error_model: no parameter is free; free offsets, placements, the base or the tool.")
     return model
 
 
