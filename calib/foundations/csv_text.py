@@ -8,11 +8,13 @@ import csv
 import re
 from collections.abc import Iterable
 
-from calib.foundations.errors import CalibError
+from calib.foundations.errors import CalibError, RobotError
 from calib.foundations.units import NUMBER
-from calib.foundations.words import harmless
+from calib.foundations.words import harmless, shown
 
 _LONGEST_LINE = 2_000
+NOT_UTF8 = "is not UTF-8 text; save it as UTF-8."
+OPEN_QUOTE = "a quote is not closed, or something follows it."
 
 # With these a formula begins, also in the widths of East Asian keyboards, of which some spreadsheets make plain signs.
 _SIGNS = "=+\\-@\uff1d\uff0b\uff0d\uff20\ufe66\ufe62\ufe63\ufe6b"
@@ -38,7 +40,7 @@ def text_of(data: bytes, where: str, error: type[CalibError]) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as e:
-        raise error(f"{where}: is not UTF-8 text; save it as UTF-8.") from e
+        raise error(f"{where}: {NOT_UTF8}") from e
 
 
 def lines_of(data: bytes, where: str, what: str, error: type[CalibError]) -> list[tuple[str, list[str]]]:
@@ -58,7 +60,7 @@ def lines_of(data: bytes, where: str, what: str, error: type[CalibError]) -> lis
             try:
                 (cells,) = csv.reader((line,), strict=True, skipinitialspace=True)
             except csv.Error as e:
-                raise error(f"{at}: a quote is not closed, or something follows it.") from e
+                raise error(f"{at}: {OPEN_QUOTE}") from e
             lines.append((at, [cell.strip() for cell in cells]))
     return lines
 
@@ -70,6 +72,12 @@ def begins_with_error(line: str) -> bool:
         return found is not None
     word = found[2]
     return (word.isupper() and word.endswith(("!", "?"))) or word.upper() in _NOT_AVAILABLE
+
+
+def refuse_formula(joint: str, where: str) -> None:
+    """Raise RobotError for a joint whose name a spreadsheet would compute: it heads columns of tables."""
+    if has_formula(joint):
+        raise RobotError(f"{where}: joint {shown(joint)} has the name of a spreadsheet's formula; rename it.")
 
 
 def has_formula(text: str) -> bool:

@@ -123,6 +123,7 @@ def symbol_of(text: str) -> str | None:
 
 # The plain decimal and exponent forms only: float() would also take 1_0, nan, inf and full-width digits.
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?", re.ASCII)
+NO_NUMBER = "is not a number like 12.5 or 1.25e1"
 _QUANTITY = re.compile(rf"\s*({NUMBER.pattern})\s*([A-Za-z0-9/]*)\s*", re.ASCII)
 
 

@@ -7,7 +7,7 @@ import string
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from calib.foundations.csv_text import begins_with_error
+from calib.foundations.csv_text import NOT_UTF8, OPEN_QUOTE, begins_with_error
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import symbol_of
 
@@ -186,7 +186,7 @@ def _decoded(block: bytes, data: bytes, start: int, where: str) -> str:
             return block.decode("cp1252")
         except UnicodeDecodeError:
             at = _line_at(data, start + e.start)
-            raise MeasurementError(f"{where}:{at}: is not UTF-8 text; save it as UTF-8.") from e
+            raise MeasurementError(f"{where}:{at}: {NOT_UTF8}") from e
 
 
 def _end_of_block(data: bytes, start: int) -> int:
@@ -215,7 +215,7 @@ def cells(line: str, separator: str, at: str) -> list[str]:
     try:
         (found,) = csv.reader((line,), delimiter=separator, strict=True, skipinitialspace=True)
     except csv.Error as e:
-        raise MeasurementError(f"{at}: a quote is not closed, or something follows it.") from e
+        raise MeasurementError(f"{at}: {OPEN_QUOTE}") from e
     return [cell.strip() for cell in found]
 
 

@@ -25,7 +25,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.ranges import OF_DIMENSION, SMALLEST_CELL
 from calib.foundations.sealing import sealed
-from calib.foundations.units import NUMBER, UNITS, Unit, symbol_of
+from calib.foundations.units import NO_NUMBER, NUMBER, UNITS, Unit, symbol_of
 from calib.foundations.words import near, shortened, shown
 from calib.measurement.cells import Line, cells, in_bytes, lines, refuse_ragged
 from calib.measurement.layout import is_number_of_name, layout, name_and_unit, nameless, with_units
@@ -548,7 +548,7 @@ def _not_a_number(cell: str) -> str:
         return "the cell is empty"
     if NUMBER.fullmatch(cell.replace(",", ".")):
         return f"{shown(cell)} has a decimal comma; write a point"
-    return f"{shown(cell)} is not a number like 12.5 or 1.25e1"
+    return f"{shown(cell)} {NO_NUMBER}"
 
 
 def _written(value: object) -> str:

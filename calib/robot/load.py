@@ -11,7 +11,7 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
-from calib.foundations.csv_text import has_formula
+from calib.foundations.csv_text import refuse_formula
 from calib.foundations.errors import RobotError
 from calib.foundations.words import harmless, shown
 from calib.robot import deviation
@@ -144,10 +144,7 @@ def with_document(
 def _refuse_names(document: Urdf, joints: Sequence[UrdfJoint]) -> None:
     """Refuse names that cannot head the columns of tables that are written, and be found there in others."""
     for name in (joint.name for joint in joints):
-        if has_formula(name):
-            raise RobotError(
-                f"{document.where}: joint {shown(name)} has the name of a spreadsheet's formula; rename it."
-            )
+        refuse_formula(name, document.where)
         if harmless(name) != name:
             raise RobotError(
                 f"{document.where}: joint {shown(name)} has a character that commands a terminal or turns text round "

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from calib.foundations.errors import MeasurementError
-from calib.foundations.units import NUMBER
+from calib.foundations.units import NO_NUMBER, NUMBER
 from calib.foundations.words import counted, listed, shown
 from calib.measurement.layout import name_and_unit
 from calib.measurement.table import COMMANDED
@@ -81,7 +81,7 @@ def of_motive(text: str, where: str, body: str | None = None) -> _Rows:
             raise MeasurementError(f"{where}:{number}: has {len(line)} cells, and its columns are {len(axes)}.")
         rows += [[line[k].strip() for k in chosen]] if len(line) > max(chosen) else []
         if wrong := next((cell for cell in rows[-1] if cell and NUMBER.fullmatch(cell) is None), "") if rows else "":
-            raise MeasurementError(f"{where}:{number}: {shown(wrong)} is not a number like 12.5 or 1.25e1.")
+            raise MeasurementError(f"{where}:{number}: {shown(wrong)} {NO_NUMBER}.")
     seen = [row for row in rows if all(row)]
     titles = ("time [s]", *(f"{axis} [{unit}]" for axis in "xyz"), *(("qw", "qx", "qy", "qz") if turns else ()))
     frames = counted(len(rows) - len(seen), "frame that lost it is", "frames that lost it are")
@@ -112,16 +112,17 @@ def _chosen(kinds: Sequence[str], names: Sequence[str], wanted: str | None, wher
 
 def _header(lines: Sequence[Sequence[str]], where: str) -> tuple[list[str], ...]:
     """Return kind, name, part and axis of every column: the lines Type, Name, two of parts, and that of the axes."""
+    lacking = MeasurementError(f"{where}: begins as an export of Motive, and lacks the lines of its header.")
 
     def line(found: Callable[[Sequence[str]], bool]) -> int:
         for k, cells in enumerate(lines[:20]):
             if found(cells):
                 return k
-        raise MeasurementError(f"{where}: begins as an export of Motive, and lacks the lines of its header.")
+        raise lacking
 
     kind = line(lambda cells: "Type" in cells[:2])
     axis = line(lambda cells: cells[0].strip() == "Frame")
     if kind + 1 >= axis:
-        raise MeasurementError(f"{where}: begins as an export of Motive, and lacks the lines of its header.")
+        raise lacking
     # Names of markers stand in quotes in some versions.
     return tuple([cell.strip().strip('"') for cell in lines[k]] for k in (kind, kind + 1, axis - 1, axis))

@@ -20,11 +20,11 @@ from calib.foundations import rigid
 from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.choices import Convention
-from calib.foundations.csv_text import csv_cell, has_formula, lines_of
+from calib.foundations.csv_text import csv_cell, lines_of, refuse_formula
 from calib.foundations.errors import RobotError
 from calib.foundations.files import read_bytes
 from calib.foundations.ranges import OF_DIMENSION, parse_within
-from calib.foundations.units import NUMBER, UNITS, Dimension, Unit, unit_of
+from calib.foundations.units import NO_NUMBER, NUMBER, UNITS, Dimension, Unit, unit_of
 from calib.foundations.words import refuse_other, shown
 from calib.robot.dh.table import NUMBERS, DhRow, DhTable, RowType, check_convention
 from calib.robot.urdf import MOST_JOINTS
@@ -166,13 +166,12 @@ def _row(line: _Line, units: dict[str, Unit | None], number: int) -> DhRow:
         if unit is None:
             words[name] = cell
         elif NUMBER.fullmatch(cell) is None:
-            raise RobotError(f"{at}: column {name!r}: {cell!r} is not a number like 12.5 or 1.25e1.")
+            raise RobotError(f"{at}: column {name!r}: {shown(cell)} {NO_NUMBER}.")
         else:
             values[name] = _si(cell, unit)
     if not words["joint"]:
         raise RobotError(f"{at}: column 'joint': the cell is empty.")
-    if has_formula(words["joint"]):
-        raise RobotError(f"{at}: joint {shown(words['joint'])} has the name of a spreadsheet's formula; rename it.")
+    refuse_formula(words["joint"], at)
     refuse_other(words["type"], get_args(RowType), f"{at}: column 'type'", RobotError)
     try:
         return DhRow(words["joint"], cast(RowType, words["type"]), **values)
