@@ -58,12 +58,12 @@ def blame_section(found: Blame) -> Section:
         rows.append(Row((_CAUSES[cause.name], *shown, tool), strong=cause.name == found.named))
     sheet = Sheet.of(
         "What each explains",
-        ("cause", ">alone [px]", ">beside others [px]", ">tool's doubt [mm]"),
+        ("cause", ">alone [px]", ">beside others [px]", ">tool's uncertainty [mm]"),
         rows,
         f"of {found.whole:.3f} px of photographs held out, of which {found.left:.3f} px are left; photographs by "
-        f"themselves, without the arm, leave {found.corners:.3f} px. The tool's doubt, in all "
-        f"{found.tool / MM:.3f} mm, is what would go if the cause were known; what is held counts for nothing there. A "
-        "lens that nobody gave is no cause: it has the tool's doubt alone",
+        f"themselves, without the arm, leave {found.corners:.3f} px. The tool's uncertainty is "
+        f"{found.tool / MM:.3f} mm in all; beside a cause stands the part that would go if it were known. What is held "
+        "has no part in it. A lens that nobody gave is no cause: it has a part in the uncertainty alone",
         brief=True,
     )
     return Section("blame", "Which is to blame", (Prose((found.sentence, found.advice), brief=True), sheet))

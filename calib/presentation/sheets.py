@@ -24,6 +24,8 @@ SHOWN = {
     **DISPLAY,
     **{unit: Display(1.0 / MICRO, shown) for kind in KINDS for unit, shown in kind.shown.items()},
 }
+# What the words of tables mean that have the errors of both robots.
+BEFORE = "before: nominal robot, base and tool fitted"
 # A level as a table shows it: name, number of free parameters, rank, and metrics by quantity.
 Level = tuple[str, int, int, Mapping[str, Metrics]]
 
@@ -63,7 +65,7 @@ def error_sheet(figures: Mapping[str, Mapping[str, Mapping[str, Metrics]]]) -> S
         "Tip errors, measured minus predicted",
         ("data", "robot", ">n", ">mean", ">rms", ">p95", ">max", "unit"),
         rows,
-        "before: nominal robot, base and tool fitted",
+        BEFORE,
         brief=True,
     )
 
@@ -150,7 +152,7 @@ _CAUSES = {
 
 
 def budget_sheet(budget: Mapping[str, Sequence[float]], poses: int) -> Sheet:
-    """Return what every cause adds to the tool's standard deviations, rms in m and rad over so many configurations."""
+    """Return what every cause adds to the tool's standard deviations, rms in m and rad over so many ``poses``."""
     (length, mm), (turn, degrees) = SHOWN["m"], SHOWN["rad"]
     total = [math.hypot(*(float(rms[k]) for rms in budget.values())) for k in range(2)]
     return Sheet.of(
@@ -160,7 +162,7 @@ def budget_sheet(budget: Mapping[str, Sequence[float]], poses: int) -> Sheet:
             Row((name, f"{rms[0] * length:.4f}", f"{rms[1] * turn:.4f}"), strong=name == "all")
             for name, rms in (*((_CAUSES[cause], rms) for cause, rms in budget.items()), ("all", total))
         ],
-        f"one standard deviation, all coordinates together, rms over {poses} configurations; squares add up",
+        f"one standard deviation, all coordinates together, rms over {poses} poses; squares add up",
     )
 
 

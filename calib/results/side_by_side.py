@@ -7,7 +7,7 @@ from calib.assessment.drift import Comparison
 from calib.foundations.units import MM
 from calib.presentation.acceptance_tables import change_sheet, comparison_sentences
 from calib.presentation.report.document import Block, Prose, Report, Row, Section, Sheet, Tile, Verdict
-from calib.presentation.sheets import SHOWN
+from calib.presentation.sheets import BEFORE, SHOWN
 from calib.results.result_file import ResultFile, not_trusted, read_result
 
 
@@ -62,7 +62,7 @@ def _errors(*results: ResultFile) -> Sheet:
         rows.append(Row((use, when, quantity.replace("_", " "), *sizes[0], *sizes[1], shown), strong=when == "after"))
     numbers = (">n, old", ">rms, old", ">max, old", ">n, new", ">rms, new", ">max, new")
     columns = ("data", "robot", "quantity", *numbers, "unit")
-    return Sheet.of("Errors, measured minus predicted", columns, rows, "before: nominal robot, base and tool fitted")
+    return Sheet.of("Errors, measured minus predicted", columns, rows, BEFORE)
 
 
 def _passed(one: ResultFile) -> Mapping[str, str]:

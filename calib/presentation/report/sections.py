@@ -36,8 +36,8 @@ _FEW, _LARGE, _SMALL = 150, 5.0, 3.0
 _MOST_DOTS = 2000
 _BINS = 24
 _MOST_CORRELATED = 20
-# Of so many configurations the budget is told.
-_MOST_CONFIGURATIONS = 200
+# Of so many poses the budget is told.
+_MOST_POSES = 200
 _ANGLES = ("rx", "ry", "rz")
 # What the drawing of a deviation shows.
 _DRAWN = (
@@ -147,7 +147,9 @@ def checks(found: Sequence[Check]) -> Section | None:
         for check in found
     ]
     columns = ("check", ">found", "allowed", "passed", "in words")
-    sheet = Sheet.of("Checks of the verdict", columns, rows, brief=True, told=True)
+    idle = any(np.isnan(check.statistic) for check in found)
+    note = "found -: there was nothing to judge, and the check counts as passed" if idle else ""
+    sheet = Sheet.of("Checks of the verdict", columns, rows, note, brief=True, told=True)
     return Section("checks", "What was checked", (sheet,))
 
 
@@ -267,11 +269,11 @@ def budget(machine: CalibratedMachine, sets: Sequence[JudgedSet]) -> Section | N
     if machine.uncertainty is None:
         return None
     readings = np.concatenate([judged.data.readings for judged in sets])
-    readings = readings[np.unique(np.linspace(0, len(readings) - 1, _MOST_CONFIGURATIONS).astype(np.intp))]
+    readings = readings[np.unique(np.linspace(0, len(readings) - 1, _MOST_POSES).astype(np.intp))]
     tool = next(iter(machine.tools))
     found = tool_uncertainty(machine, readings, tool)
     said = (
-        f"Of {tool!r}, at configurations that were measured. Parameters that the data do not determine have the "
+        f"Of {tool!r}, at poses that were measured. Parameters that the data do not determine have the "
         "standard deviation of their prior. If none is stated, it is learned from other parameters of their kind, or "
         "it is wide. What the model leaves out is estimated from what the residuals have in common."
     )
