@@ -139,6 +139,7 @@ IDLE = [
     ("import images photos --topic x", "--topic: not of photographs."),
     ("check arm_cmm.urdf --all", "--all: needs a job, or a URDF and tables."),
     ("check validation.csv --angles deg", "--angles: needs a job, or a URDF and tables."),
+    ("check calibration.toml --angles deg --column x=X", "--angles, --column: a job says this itself."),
     ("cell arm_cmm.urdf out --mesh-root .", "--mesh-root: meshes are read for --scene alone."),
 ]
 

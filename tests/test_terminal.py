@@ -249,4 +249,4 @@ def test_commands_that_are_told_can_be_typed_as_they_stand(folder: Path) -> None
     assert run("calibrate", job, "-o", "out", "-q").code == 0
     assert "\n    calib calibrate 'my $(job).toml' -o out\n" in (folder / "out/report.md").read_text(encoding="utf-8")
     said = run("init", CASE / "arm_cmm.urdf", folder / "identification.csv", "-y", "-o", "an other.toml")
-    assert "calib calibrate 'an other.toml' -o out/ goes on." in " ".join(said.out.split())
+    assert "The next step: calib calibrate 'an other.toml' -o out/" in " ".join(said.out.split())

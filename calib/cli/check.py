@@ -43,15 +43,14 @@ def check(
     if len(jobs) > 1 or len(robots) > 1 or (jobs and (robots or tables)):
         raise typer.BadParameter("take one job; or one URDF, tables, or a URDF and tables.")
     given = said.answers()
+    idle = dict.fromkeys((f"--{'column' if name == 'columns' else name}" for name in given), True)
     if jobs:
-        if given:
-            raise typer.BadParameter("a job says this itself.")
+        refuse_idle("a job says this itself.", idle)
         _check_job(Path(jobs[0]), telling, every=every)
     elif robots and tables:
         _check_files(robots[0], [Path(table) for table in tables], given, telling, every=every)
     else:
-        alone = dict.fromkeys((f"--{'column' if name == 'columns' else name}" for name in given), True)
-        refuse_idle("needs a job, or a URDF and tables.", {**alone, "--all": every})
+        refuse_idle("needs a job, or a URDF and tables.", {**idle, "--all": every})
         _tell_one(robots, tables, telling)
 
 

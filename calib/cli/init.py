@@ -44,9 +44,9 @@ def init(
         write_new(output, found.job(output.absolute().parent))
     tell_check(telling, looked, (*warnings, *found.reasons), {"job": str(output)})
     if not telling.as_json:
-        goes_on = f"calib calibrate {shlex.quote(str(output))} -o out/"
-        then = f"{goes_on} goes on" if looked.seen.numbers > looked.seen.rank else "it needs more poses"
-        telling.tell(dict, lambda: [f"{output} is written; {then}."])
+        following = f". The next step: calib calibrate {shlex.quote(str(output))} -o out/"
+        then = following if looked.seen.numbers > looked.seen.rank else "; it needs more poses."
+        telling.tell(dict, lambda: [f"{output} is written{then}"])
 
 
 @contextmanager

@@ -493,7 +493,7 @@ def test_few_rows_free_what_they_can_judge(folder: Path, n: int, placements: str
     assert round(job["measurements"][0]["hold_out"] * n) == held_out
     why = f"{n} rows are too few to find link placements, which need about 17: joint offsets alone are free."
     assert (why in " ".join(said.out.split())) == (placements == "none")
-    assert "calib calibrate calibration.toml -o out/ goes on." in " ".join(said.out.split())
+    assert "The next step: calib calibrate calibration.toml -o out/" in " ".join(said.out.split())
     assert run("calibrate", "calibration.toml", "-o", "out", "-q").code in (0, 3)
     of = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))["checks"]
     assert all(check["passed"] for check in of if check["name"] in ("redundancy", "held-out poses"))
