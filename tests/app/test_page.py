@@ -264,7 +264,7 @@ def test_a_real_ur10_and_a_tracker(fresh: Page) -> None:
     shown = grid(fresh)
     assert [shown[axis][:2] for axis in ("x", "rx")] == [["measurement_x", "mm"], ["measurement_rx", "deg"]]
     assert shown["wrist_3_joint"][:2] == ["wrist_3_joint", "rad"]
-    assert "the arm follows to 1.06 mm" in fresh.evaluate("byId('why').textContent")
+    assert "1.06 mm rms off the nominal arm" in fresh.evaluate("byId('why').textContent")
     assert " times better" in calibrated(fresh)
 
 

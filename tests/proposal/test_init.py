@@ -50,7 +50,7 @@ def test_from_files_to_a_report_in_two_commands(folder: Path) -> None:
     put(folder, "FANUC")
     said = run("init", UR10, "measured.csv", "--yes")
     assert (said.code, said.err) == (0, "")
-    assert "in deg: the arm follows to" in " ".join(said.out.split())
+    assert "in deg: the points are then" in " ".join(said.out.split())
     assert 'orientation = "wpr"' in (folder / "calibration.toml").read_text(encoding="utf-8")
     assert run("calibrate", "calibration.toml", "-o", "out", "-q") == (0, "", "")
     result = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))

@@ -6,6 +6,7 @@ from typing import Literal
 
 from calib.foundations.arrays import Array, IntArray
 from calib.foundations.sealing import sealed
+from calib.foundations.units import MM
 from calib.identification.followed import Followed
 from calib.job.chains import Chain
 from calib.job.proposal import About, Question
@@ -38,6 +39,11 @@ class AskedError(Exception):
     def __init__(self, question: Question) -> None:
         super().__init__(question.text)
         self.question = question
+
+
+def off_arm(miss: float, share: float) -> str:
+    """Return how far points are off the nominal arm: rms in m, and as a share of their spread."""
+    return f"{miss / MM:.3g} mm rms off the nominal arm, {share:.2%} of their spread"
 
 
 def ask(about: About, text: str, choices: Iterable[str] = (), option: str | None = None) -> AskedError:

@@ -8,12 +8,12 @@ import numpy as np
 
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.errors import MeasurementError
-from calib.foundations.units import MM, UNITS
+from calib.foundations.units import UNITS
 from calib.foundations.words import first_of, shown
 from calib.identification.error_model import error_model
 from calib.identification.followed import FEWEST_ROWS, Followed, followed, strays
 from calib.identification.sanity import signatures
-from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension, run_of, values_of
+from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension, off_arm, run_of, values_of
 from calib.job.foreign.seen import Seen
 from calib.job.proposal import About
 from calib.measurement.arrays import positions
@@ -315,10 +315,9 @@ def _say_fit(seen: Seen, best: Trial, trials: Sequence[Trial]) -> None:
     ):
         if any(seen.raw.columns[c].symbol is None for c in columns):
             other = min((t.fit.share for t in trials if t.pick is pick and t.units[k] != unit), default=None)
-            said = "" if other is None else f", in another unit it would miss by {other:.0%} or more"
+            said = "" if other is None else f"; in another unit it would be {other:.0%} or more"
             seen.reasons.append(
-                f"{what} are taken to be in {unit}: the arm follows to {best.fit.miss / MM:.3g} mm, "
-                f"{best.fit.share:.2%} of the spread{said}"
+                f"{what} are taken to be in {unit}: the points are then {off_arm(best.fit.miss, best.fit.share)}{said}"
             )
     if best.fit.miss < COMPUTED:
         seen.reasons.append(
@@ -488,9 +487,9 @@ def _strays_question(seen: Seen, trials: Sequence[Trial]) -> AskedError | None:
             rows, fit = found
             return ask(
                 "columns",
-                f"{seen.raw.where}: the arm follows to {fit.miss / MM:.3g} mm, {fit.share:.2%} of the spread, without "
-                f"{seen.named_rows(trial.rows[rows].tolist())}, and to {trial.fit.share:.0%} with all rows; do these "
-                "readings and points belong together?",
+                f"{seen.raw.where}: without {seen.named_rows(trial.rows[rows].tolist())} the points are "
+                f"{off_arm(fit.miss, fit.share)}, with all rows {trial.fit.share:.0%}; do these readings and points "
+                "belong together?",
                 (),
                 "a table without what does not belong together",
             )

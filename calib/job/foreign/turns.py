@@ -8,9 +8,9 @@ import numpy as np
 from calib.foundations import rigid
 from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError
-from calib.foundations.units import DEG, MM, UNITS
+from calib.foundations.units import DEG, UNITS
 from calib.identification.followed import FEWEST_ROWS, followed, turned_along
-from calib.job.foreign.answers import AskedError, Trial, ask, of_dimension, values_of
+from calib.job.foreign.answers import AskedError, Trial, ask, of_dimension, off_arm, values_of
 from calib.job.foreign.fits import FOLLOWS, TIMES, options
 from calib.job.foreign.seen import SCALAR, Seen
 from calib.measurement.orientations import EULER, MAKERS, rotations_of
@@ -99,8 +99,8 @@ def inverse_question(seen: Seen, trials: Sequence[Trial]) -> AskedError | None:
     return ask(
         "position",
         f"{seen.raw.where}: the poses {seen.titles(trial.point.columns)} with {seen.titles(turned.columns)} are "
-        "inverse (of the instrument in the tool, as of a board that a camera on the arm sees): the arm follows to "
-        f"{miss / MM:.3g} mm, {share:.2%} of the spread, where each is turned round",
+        "inverse (of the instrument in the tool, as of a board that a camera on the arm sees): where each is turned "
+        f"round, the points are {off_arm(miss, share)}",
         (),
         "a table in which R' and -R' t stand for each rotation R and position t",
     )
