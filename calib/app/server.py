@@ -14,7 +14,7 @@ from typing import IO, Any
 from tornado.web import stream_request_body
 
 from calib.app.folder import LARGEST_FILE, RESULTS, TOO_LARGE, as_zip, private_folder
-from calib.app.session import Session
+from calib.app.session import UNKNOWN, Session
 from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import open_inside
 from calib.presentation.local import Guarded, listening
@@ -29,7 +29,6 @@ _POLICY = (
 # Report and scene hold names from files: whatever they were made to do, they could not speak to this server.
 _SANDBOX = "sandbox allow-scripts allow-popups"
 _LARGEST_PAGE = 200_000_000
-_UNKNOWN = "The page does not know this request."
 
 
 async def serve(folder: Path | None, port: int, started: Callable[[str, str], None]) -> None:
@@ -173,7 +172,7 @@ class _Offer(_Ours):
     def post(self) -> None:
         paths = _said(self.request.body).get("paths")
         if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
-            raise JobError(_UNKNOWN)
+            raise JobError(UNKNOWN)
         wanted = self.session.offer(paths)
         self.finish({**self.session.state(), "wanted": wanted})
 
@@ -182,9 +181,9 @@ def _said(body: bytes) -> dict[str, Any]:
     try:
         said = json.loads(body or b"{}")
     except (ValueError, RecursionError) as e:
-        raise JobError(_UNKNOWN) from e
+        raise JobError(UNKNOWN) from e
     if not isinstance(said, dict):
-        raise JobError(_UNKNOWN)
+        raise JobError(UNKNOWN)
     return said
 
 

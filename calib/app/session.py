@@ -18,6 +18,7 @@ from calib.foundations.files import DAMAGED, LARGEST_JSON, read_inside, write_at
 from calib.foundations.words import shown
 from calib.robot.sources import EXAMPLE
 
+UNKNOWN = "The page does not know this request."
 _CHILD = (sys.executable, "-P", "-W", "ignore", "-m", "calib.app.child")
 # A line of a child has at most all columns of all tables.
 _LONGEST_LINE = 50_000_000
@@ -269,13 +270,13 @@ class Session:
         robot, camera_on = said.get("robot", ""), said.get("camera_on", "tip")
         answers = said.get("answers", {})
         if not (isinstance(robot, str) and isinstance(answers, dict) and camera_on in _CAMERAS):
-            raise JobError("The page does not know this request.")
+            raise JobError(UNKNOWN)
         if not (robot in ("", *self._files) or robot.startswith(EXAMPLE)):
             raise JobError(f"{shown(robot)}: is neither a dropped file nor an example.")
         columns = answers.get("columns", {})
         texts = [answers[key] for key in _ANSWERS if key in answers]
         if not isinstance(columns, dict) or len(columns) > _MOST_COLUMNS:
-            raise JobError("The page does not know this request.")
+            raise JobError(UNKNOWN)
         texts += [*columns, *columns.values()]
         if not all(isinstance(text, str) and len(text) <= _LONGEST_TEXT for text in texts):
             raise JobError(f"An answer must be text of at most {_LONGEST_TEXT} characters.")
