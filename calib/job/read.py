@@ -4,7 +4,7 @@ import json
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -21,7 +21,7 @@ from calib.measurement.prints import Print
 # Is told what is done next.
 Progress = Callable[[str], None]
 
-
+_Section = TypeVar("_Section", Job, BoardSection)
 _LARGEST_JOB = 1_000_000
 # The parser's time grows with the square of a dotted key's length, and a key stands on one line.
 _LONGEST_LINE = 10_000
@@ -35,14 +35,7 @@ def read_job(path: Path) -> Job:
 
 def read_board(path: Path) -> Print:
     """Read what is printed on a board. Raises JobError as :func:`read_job` does."""
-    try:
-        section = BoardSection.model_validate(_plain(read_toml(path)))
-    except RecursionError as e:
-        raise JobError(f"{path}: is nested too deep.") from e
-    except _TooLargeError as e:
-        raise JobError(f"{path}: {e}.") from e
-    except ValidationError as e:
-        raise JobError(f"{path}: {validation_sentence(e, BoardSection)}") from e
+    section = _validated(BoardSection, read_toml(path), str(path))
     marker = 0.0 if section.marker is None else section.marker.si
     try:
         return Print(
@@ -93,17 +86,22 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def parse_job(contents: dict[str, Any], where: str) -> Job:
     """Return the job of a parsed TOML document. Raises JobError as :func:`read_job` does."""
+    job = _validated(Job, contents, where)
+    for contradiction in contradictions(job):
+        raise JobError(f"{where}: {contradiction}")
+    return job
+
+
+def _validated(schema: type[_Section], contents: dict[str, Any], where: str) -> _Section:
+    """Return what a parsed TOML document holds by a schema. Raises JobError with one sentence."""
     try:
-        job = Job.model_validate(_plain(contents))
+        return schema.model_validate(_plain(contents))
     except RecursionError as e:
         raise JobError(f"{where}: is nested too deep.") from e
     except _TooLargeError as e:
         raise JobError(f"{where}: {e}.") from e
     except ValidationError as e:
-        raise JobError(f"{where}: {validation_sentence(e)}") from e
-    for contradiction in contradictions(job):
-        raise JobError(f"{where}: {contradiction}")
-    return job
+        raise JobError(f"{where}: {validation_sentence(e, schema)}") from e
 
 
 class _TooLargeError(Exception):
