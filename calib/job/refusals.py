@@ -16,7 +16,7 @@ from calib.identification.sanity import signatures
 from calib.identification.targets import shapes
 from calib.job.schema import Job, MeasurementsSection
 from calib.job.tables import model_sigmas
-from calib.machine.grid import joint_numbers
+from calib.machine.residual_model import joint_numbers
 from calib.measurement.checks import Finding
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.kinds import QUANTITIES

@@ -24,8 +24,9 @@ from calib.job.read import Progress
 from calib.job.refusals import with_positions
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.gaussian import GaussianResiduals, gaussian_from_residuals
-from calib.machine.grid import SectorGrid, axes_of, grid_from_residuals
+from calib.machine.grid import SectorGrid, grid_from_residuals
 from calib.machine.of_fit import machine_of
+from calib.machine.residual_model import axes_of
 from calib.measurement.checks import Finding
 from calib.measurement.measurements import Measurements
 

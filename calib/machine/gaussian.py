@@ -22,18 +22,9 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.linear import one_thread
 from calib.foundations.sealing import sealed
 from calib.foundations.units import MM
-from calib.machine.grid import (
-    Frame,
-    Leaning,
-    axes_of,
-    head_of,
-    joint_numbers,
-    load_residuals,
-    measured_errors,
-    named,
-    residual_bytes,
-)
 from calib.machine.npz import NotReadableError
+from calib.machine.residual_file import HEAD, head_of, load_residuals, named, residual_bytes
+from calib.machine.residual_model import Frame, Leaning, axes_of, joint_numbers, measured_errors
 from calib.machine.turns import points_of
 from calib.robot.robot import Reading
 
@@ -58,7 +49,7 @@ _ROWS_FOR_SCALES = 600
 _FEWEST_ROWS = 10
 _MOST_ROWS = 5000
 _BLOCK = 2048
-_KEYS = ("schema", "frame", "joints", "dimensions", "points", "errors", "amplitude", "scales", "noise")
+_KEYS = (*HEAD, "points", "errors", "amplitude", "scales", "noise")
 
 
 class Kernel(NamedTuple):

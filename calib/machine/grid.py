@@ -4,29 +4,25 @@ A sector grid spans some of the joints; the others stood at a reference when its
 at the nodes, measured minus predicted, are kept in the axes of the base or of the tip link, whichever they follow.
 """
 
-import io
 import itertools
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Final, Literal, NamedTuple, Protocol, TypeVar, cast
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only, read_only_view
 from calib.foundations.brief import brief
-from calib.foundations.errors import JobError, MeasurementError, OutputError
-from calib.foundations.files import read_bytes
+from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.sealing import sealed
 from calib.foundations.units import DISPLAY_OF
-from calib.machine.npz import LARGEST_FILE, NotReadableError, arrays_of
-from calib.machine.run import refuse_other_run
+from calib.machine.npz import NotReadableError
+from calib.machine.residual_file import HEAD, head_of, load_residuals, named, residual_bytes
+from calib.machine.residual_model import Frame, Leaning, axes_of, joint_numbers, measured_errors
 from calib.machine.turns import points_of
 from calib.robot.robot import Reading
-
-Frame = Literal["base", "tip"]
-FRAMES: Final[tuple[Frame, ...]] = ("base", "tip")
 
 # Encoders at rest jitter by less than this share of a step; over it errors do not change by anything that counts.
 _OFF_GRID = 1e-3
@@ -35,23 +31,7 @@ _ROUNDING = 1e-9
 _MOST_NODES = 10_000_000
 # Each joint more doubles the corners of a cell: of twenty joints one reading took hundreds of megabytes.
 _MOST_JOINTS = 8
-SCHEMA = 1
-_RUN = "run"  # in files of results
-_SETUPS, _TOOLS = "setups", "tools"
-_KEYS = ("schema", "frame", "joints", "dimensions", "reference", "axes", "lengths", "errors", "measured")
-
-
-class Leaning(NamedTuple):
-    """What a residual model takes its values from, at N readings.
-
-    Errors measured at ``points`` (N, c, nr), with ``weights`` (N, c). ``unknown`` (N,): which share of errors that are
-    common to neighbours it leaves; ``sigma`` (N,): of a component of its own prediction, in m, beside these.
-    """
-
-    points: Array
-    weights: Array
-    unknown: Array
-    sigma: Array
+_KEYS = (*HEAD, "reference", "axes", "lengths", "errors", "measured")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,15 +179,6 @@ class SectorGrid:
         return corners, lower, np.prod(np.where(corners, place[:, None], 1.0 - place[:, None]), axis=2)
 
 
-def axes_of(frame: Frame, base: Array, tips: Array) -> Array:
-    """Return the axes (N, 3, 3) of a grid's frame in the instrument's.
-
-    Arguments as for :meth:`SectorGrid.shifts`; ``base`` also (N, 4, 4), of every row.
-    """
-    turned = base[..., :3, :3] if frame == "base" else (base @ tips)[:, :3, :3]
-    return np.broadcast_to(turned, (len(tips), 3, 3))
-
-
 def _within(values: Array, axis: Array) -> BoolArray:
     slack = _ROUNDING * (axis[-1] - axis[0])
     return np.asarray((values >= axis[0] - slack) & (values <= axis[-1] + slack))
@@ -291,31 +262,6 @@ def grid_from_residuals(
         frame,
         tuple(reading.turns for reading in robot_readings),
     )
-
-
-def joint_numbers(names: Sequence[str], joints: Sequence[str], frame: str) -> list[int]:
-    """Return the joints of a residual model, by number. Raises JobError for others, and for another frame."""
-    if frame not in FRAMES:
-        raise JobError(f"the frame of a residual model is {frame!r}; allowed are {', '.join(FRAMES)}.")
-    for name in joints:
-        if name not in names:
-            raise JobError(f"a residual model cannot follow {name!r}; the joints that are read are {', '.join(names)}.")
-    if not joints or len(set(joints)) < len(joints):
-        raise JobError("the joints of a residual model must be at least one, each named once.")
-    return [names.index(name) for name in joints]
-
-
-def measured_errors(readings: Array, errors: Array, width: int, place: str) -> tuple[Array, Array]:
-    """Return readings (N, width) and errors (N, 3), one row or more. Raises MeasurementError for anything else."""
-    readings, errors = np.asarray(readings, dtype=np.float64), np.asarray(errors, dtype=np.float64)
-    if readings.shape != (len(errors), width) or errors.shape != (len(readings), 3) or not len(errors):
-        raise MeasurementError(
-            f"{place}: readings {readings.shape} and errors {errors.shape} must have the shapes (N, {width}) and "
-            "(N, 3)."
-        )
-    if not (np.isfinite(readings).all() and np.isfinite(errors).all()):
-        raise MeasurementError(f"{place}: readings and errors must be finite numbers.")
-    return readings, errors
 
 
 def _reference(readings: Array, robot_readings: Sequence[Reading], joints: Sequence[int], at: Sequence[str]) -> Array:
@@ -410,112 +356,12 @@ def grid_bytes(grid: SectorGrid, run: str | None = None) -> bytes:
     return residual_bytes(grid.frame, grid.joints, grid.readings, arrays | named(grid.setups, grid.tools), run)
 
 
-def named(setups: Sequence[str], tools: Sequence[str]) -> dict[str, npt.NDArray[Any]]:
-    """Return what a file tells of the set-ups and the tools of a residual model: nothing where there is but one."""
-    return {key: np.array(names) for key, names in ((_SETUPS, setups), (_TOOLS, tools)) if names}
-
-
-def residual_bytes(
-    frame: Frame,
-    joints: Sequence[int],
-    readings: Sequence[tuple[str, str]],
-    arrays: Mapping[str, npt.NDArray[Any]],
-    run: str | None,
-) -> bytes:
-    """Return a residual model as an npz file: the head that :func:`head_of` reads, then its own ``arrays``."""
-    head: dict[str, Any] = {
-        "schema": SCHEMA,
-        "frame": frame,
-        "joints": np.array(joints, np.int64),
-        "dimensions": readings,
-        **({} if run is None else {_RUN: run}),
-    }
-    buffer = io.BytesIO()
-    np.savez(buffer, **head, **dict[str, Any](arrays))
-    return buffer.getvalue()
-
-
 def load_grid(path: str | Path, robot_readings: Sequence[Reading] | None = None) -> SectorGrid:
     """Read a grid as :func:`grid_bytes` makes it; nothing in the file is ever executed.
 
     Raises OutputError with one sentence when the file is not such a grid, or not one of a robot with these readings.
     """
     return load_residuals(path, _KEYS, _grid_of, ("a residual grid", "the grid of"), robot_readings)
-
-
-class _OfReadings(Protocol):
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    @property
-    def readings(self) -> tuple[tuple[str, Literal["angle", "length"]], ...]: ...
-
-
-_Residuals = TypeVar("_Residuals", bound=_OfReadings)
-
-
-def load_residuals(
-    path: str | Path,
-    keys: Sequence[str],
-    made: Callable[[Mapping[str, npt.NDArray[Any]]], _Residuals],
-    names: tuple[str, str],
-    robot_readings: Sequence[Reading] | None,
-) -> _Residuals:
-    """Read a residual model of these ``keys``. ``names``: what it is, and what it is of a robot, for messages."""
-    data = read_bytes(Path(path), OutputError, LARGEST_FILE)
-    try:
-        arrays = arrays_of(data, keys, (_RUN, _SETUPS, _TOOLS))
-        run = _run_in(arrays.pop(_RUN, None))
-        setups, tools = (_names_in(arrays.pop(key, None), key) for key in (_SETUPS, _TOOLS))
-        known = replace(made(arrays), setups=setups, tools=tools)
-    except NotReadableError as e:
-        raise OutputError(f"{path}: is not {names[0]} of this toolkit: {e}.") from e
-    if robot_readings is not None and known.readings != tuple((r.name, r.dimension) for r in robot_readings):
-        theirs, ours = (", ".join(name for name, _ in known.readings), ", ".join(r.name for r in robot_readings))
-        raise OutputError(f"{path}: is {names[1]} a robot with the joints {theirs}, and this one has {ours}.")
-    refuse_other_run(Path(path), run)
-    # What follows a joint the file does not say, and the robot does.
-    return known if robot_readings is None else replace(known, turning=tuple(r.turns for r in robot_readings))
-
-
-def _run_in(array: npt.NDArray[Any] | None) -> str | None:
-    """Return the run that a residual model names, if it does. Raises NotReadableError for what is no name."""
-    if array is not None and (array.shape != () or array.dtype.kind != "U"):
-        raise NotReadableError(f"{_RUN} has a wrong type")
-    return None if array is None else str(array)
-
-
-def _names_in(array: npt.NDArray[Any] | None, key: str) -> tuple[str, ...]:
-    """Return the set-ups or tools that a residual model names. Raises NotReadableError for what are no names."""
-    if array is not None and (array.ndim != 1 or array.dtype.kind != "U"):
-        raise NotReadableError(f"{key} has a wrong type")
-    return () if array is None else tuple(str(name) for name in array)
-
-
-def head_of(
-    arrays: Mapping[str, npt.NDArray[Any]], kinds: Mapping[str, str]
-) -> tuple[Frame, tuple[tuple[str, Literal["angle", "length"]], ...], tuple[int, ...]]:
-    """Return what every file of a residual model begins with: its frame, and names and dimensions of all joints.
-
-    ``kinds``: of arrays beside those of the head that are no floating-point numbers, as numpy's letters. Raises
-    NotReadableError for an array of another type, another schema, and a head that is none.
-    """
-    kinds = {"schema": "i", "frame": "U", "joints": "i", "dimensions": "U", **kinds}
-    for key, array in arrays.items():
-        if array.dtype.kind != kinds.get(key, "f"):
-            raise NotReadableError(f"{key} has a wrong type")
-    if arrays["schema"].shape != () or int(arrays["schema"]) != SCHEMA:
-        raise NotReadableError(f"its schema is not {SCHEMA}")
-    if arrays["frame"].shape != () or str(arrays["frame"]) not in FRAMES:
-        raise NotReadableError(f"its frame is not one of {', '.join(FRAMES)}")
-    table = arrays["dimensions"]
-    if table.ndim != 2 or table.shape[1] != 2 or not np.isin(table[:, 1], list(DISPLAY_OF)).all():
-        raise NotReadableError("its joints have no names and dimensions")
-    readings = tuple((str(name), cast(Literal["angle", "length"], str(dimension))) for name, dimension in table)
-    joints = arrays["joints"]
-    numbers = tuple(int(j) for j in joints.ravel())
-    if joints.ndim != 1 or not numbers or len(set(numbers)) < len(numbers) or not {*numbers} <= {*range(len(readings))}:
-        raise NotReadableError("its joints are not different ones of the robot's")
-    return cast(Frame, str(arrays["frame"])), readings, numbers
 
 
 def _grid_of(arrays: Mapping[str, npt.NDArray[Any]]) -> SectorGrid:

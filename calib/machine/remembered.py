@@ -6,8 +6,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from calib.foundations.arrays import Array
-from calib.machine.grid import Frame, Leaning, axes_of
-from calib.machine.residual_model import ResidualModel
+from calib.machine.residual_model import Frame, Leaning, ResidualModel, axes_of
 
 T = TypeVar("T")
 

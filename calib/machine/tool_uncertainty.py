@@ -20,9 +20,8 @@ from calib.foundations.errors import JobError
 from calib.foundations.linear import one_thread, triangle
 from calib.foundations.ranges import finite
 from calib.machine.calibrated import CalibratedMachine, readings_of, refuse_unfollowed
-from calib.machine.grid import axes_of
 from calib.machine.identified import usual_conditions
-from calib.machine.residual_model import ResidualModel
+from calib.machine.residual_model import ResidualModel, axes_of
 from calib.machine.tool_motion import jacobian_of
 from calib.machine.uncertainty import CAUSES, ToolUncertainty, Uncertainty, UncertaintyMap
 from calib.machine.winding import ReadingErrors

@@ -17,10 +17,10 @@ from calib.assessment.acceptance import verify
 from calib.assessment.drift import compare
 from calib.foundations.errors import MeasurementError
 from calib.machine.gaussian import Kernel, gaussian_from_residuals
-from calib.machine.grid import Leaning, grid_from_residuals
+from calib.machine.grid import grid_from_residuals
 from calib.machine.identified import outside_identified
 from calib.machine.of_fit import machine_of
-from calib.machine.residual_model import ResidualModel
+from calib.machine.residual_model import Leaning, ResidualModel
 from calib.presentation.acceptance_tables import comparison_sentences, verification_lines
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.terms import JointTerm

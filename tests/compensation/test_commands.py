@@ -19,6 +19,7 @@ from calib.foundations.choices import PoseFrame
 from calib.foundations.errors import JobError, MeasurementError
 from calib.machine import grid
 from calib.machine.gaussian import GaussianResiduals, Kernel
+from calib.machine.residual_model import FRAMES, Frame
 from calib.measurement.table import Columns, table_from_arrays
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.kinematics import Kinematics
@@ -673,7 +674,7 @@ def test_a_grid_holds_in_every_turn_of_a_joint_within_its_limits() -> None:
     assert np.abs(model.tips(turned.readings) - model.tips(one.readings)).max() < 1e-9
 
 
-def residual_grid(robot: calib.Robot, frame: grid.Frame) -> grid.SectorGrid:
+def residual_grid(robot: calib.Robot, frame: Frame) -> grid.SectorGrid:
     axes = [np.linspace(-1.0, 1.0, 5), np.linspace(-1.2, 0.8, 4)]
     rows = np.zeros((20, len(robot.readings)))
     rows[:, :2] = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -682,8 +683,8 @@ def residual_grid(robot: calib.Robot, frame: grid.Frame) -> grid.SectorGrid:
     return grid.grid_from_residuals(rows, errors, robot.readings, names, frame)
 
 
-@pytest.mark.parametrize("frame", grid.FRAMES)
-def test_residuals_are_counted(frame: grid.Frame) -> None:
+@pytest.mark.parametrize("frame", FRAMES)
+def test_residuals_are_counted(frame: Frame) -> None:
     model = model_of(robot_of("ur10"))
     rng = np.random.default_rng(9)
     readings = well_posed(model, rng.uniform((-0.9, -1.1, 0.5, -1, 0.5, -1), (0.9, 0.7, 1.5, 1, 1.5, 1), (50, 6)))
