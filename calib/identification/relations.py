@@ -3,7 +3,7 @@
 A gauge's length gives a calibration by sockets its scale; a datum cube's faces are planes at known angles.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, get_args
 
@@ -52,10 +52,25 @@ class _OfTwo(Protocol):
     @property
     def targets(self) -> tuple[str, str]: ...
 
+    @property
+    def kind(self) -> RelationKind: ...
+
 
 def related_targets(relations: Iterable[_OfTwo]) -> set[str]:
     """Return the names of the targets between which something is known."""
     return {name for relation in relations for name in relation.targets}
+
+
+def refuse_unrelated(relations: Iterable[_OfTwo], found: Mapping[str, str]) -> None:
+    """Raise JobError for a relation of what is not ``found`` in measurements, or has another shape there."""
+    for relation in relations:
+        shape = "point" if relation.kind == "distance" else "plane"
+        for name in relation.targets:
+            if found.get(name) != shape:
+                raise JobError(
+                    f"relations: a known {relation.kind} is between two {shape}s, and {name!r} is "
+                    f"{'a ' + found[name] if name in found else 'in no measurement'}."
+                )
 
 
 def relate(relations: Sequence[Relation], names: Sequence[str], targets: Array) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ Sockets, anchors, balls and marks are points, surfaces are planes, boards and ca
 Targets are nuisances: their unknowns are found with the robot's and are of no use elsewhere.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -88,6 +88,14 @@ def shapes(sets: Sequence[Measurements]) -> dict[str, Shape]:
                     "one of them another name."
                 )
     return found
+
+
+def refuse_unmeasured(names: Iterable[str], found: Mapping[str, Shape]) -> None:
+    """Raise JobError for a known target that is none of those ``found`` in measurements."""
+    for name in names:
+        if name not in found:
+            there = ", ".join(found) or "no targets"
+            raise JobError(f"targets: {name!r} does not appear in the measurements, which have {there}.")
 
 
 def unknowns(sets: Sequence[Measurements], known: Mapping[str, Target], layout: Layout) -> tuple[Parameter, ...]:

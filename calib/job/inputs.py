@@ -98,7 +98,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
     nodes = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "nodes")
     refusals.refuse_levels(job, model, chosen, nodes, path)
-    refusals.refuse_unknown_names(job, sets, path)
+    refusals.refuse_unknown_names(job, model, sets, path)
     refusals.refuse_wrong_targets(job, sets, path)
     whole, model = model, model.within(chosen)
     doubts += [*refusals.found_from_held_out(whole, chosen, held_out), *refusals.relations_left_out(whole, model, path)]

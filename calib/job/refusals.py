@@ -10,10 +10,11 @@ from calib.foundations.ranges import MOST_TARGETS, MOST_TOUCHED
 from calib.foundations.words import counted, listed
 from calib.identification.error_model import ErrorModel
 from calib.identification.identify import matching
-from calib.identification.initialisation.problem import initial_problem
+from calib.identification.initialisation.problem import initial_problem, refuse_unplaced
 from calib.identification.observability import rank_findings
+from calib.identification.relations import refuse_unrelated
 from calib.identification.sanity import signatures
-from calib.identification.targets import shapes
+from calib.identification.targets import refuse_unmeasured, shapes
 from calib.job.schema import Job, MeasurementsSection
 from calib.job.tables import model_sigmas
 from calib.machine.residual_model import joint_numbers
@@ -131,7 +132,7 @@ def refuse_unusable_rows(robot: Robot, model: ErrorModel, sets: Sequence[Measure
                     robot.joint_positions(end.readings)
 
 
-def refuse_unknown_names(job: Job, sets: Sequence[Measurements], path: Path) -> None:
+def refuse_unknown_names(job: Job, model: ErrorModel, sets: Sequence[Measurements], path: Path) -> None:
     """Refuse tools and set-ups that no row has, and such of rows that are missing where the others are given."""
     tools = tuple(dict.fromkeys(tool for data in sets for tool in data.tools))
     setups = tuple(dict.fromkeys(setup for data in sets for setup in data.setups))
@@ -145,10 +146,8 @@ def refuse_unknown_names(job: Job, sets: Sequence[Measurements], path: Path) -> 
     for tool in tools:
         if job.tools and tool not in job.tools:
             raise JobError(f"{path}: tools: the tool {tool!r} of the measurements is missing.")
-    for setup in setups:
-        known = [ONLY_SETUP, *(name for name, section in job.setups.items() if section.base is not None)]
-        if job.error_model.base == "fixed" and setup not in known:
-            raise JobError(f"{path}: setups: the base is fixed, and its pose in {setup!r} is missing.")
+    with naming(path, JobError):
+        refuse_unplaced(model, setups)
     if job.base is not None and ONLY_SETUP not in setups:
         raise JobError(
             f"{path}: base: a pose is given, and every measurement has a named set-up: "
@@ -232,24 +231,17 @@ def refuse_wrong_targets(job: Job, sets: Sequence[Measurements], path: Path) -> 
             f"{MOST_TOUCHED}. Leave rows out, or call calib.identify from Python, which takes {MOST_TARGETS}."
         )
     found = shapes(sets)
-    there = ", ".join(found) or "no targets"
+    with naming(path, JobError):
+        refuse_unmeasured(job.targets, found)
     for name, target in job.targets.items():
-        if name not in found:
-            raise JobError(f"{path}: targets: {name!r} does not appear in the measurements, which have {there}.")
         if not target.says_where:
             continue
         said = "point" if target.normal is None else "plane"
         # Boards and cameras have a position as points have.
         if found[name] not in (said, "frame" if said == "point" else said):
             raise JobError(f"{path}: targets.{name}: is given as a {said}, and was measured as a {found[name]}.")
-    for relation in job.relations:
-        shape = "point" if relation.kind == "distance" else "plane"
-        for name in relation.targets:
-            if name not in found:
-                raise JobError(
-                    f"{path}: relations: a known {relation.kind} is between two {shape}s, and {name!r} is in no "
-                    "measurement."
-                )
+    with naming(path, JobError):
+        refuse_unrelated(job.relations, found)
 
 
 def refuse_no_noise(job: Job, sets: Sequence[Measurements], path: Path) -> None:

@@ -208,7 +208,7 @@ def test_a_fixed_base_needs_a_pose_in_every_set_up(folder: Path) -> None:
     job, out = said_of(folder, LEFT, RIGHT, f"[setups.left]\n{FRAME}")
     job.write_text(job.read_text().replace("[error_model]", '[error_model]\nbase = "fixed"'), encoding="utf-8")
     said = run("calibrate", job, "-o", out.with_name("none"))
-    assert "job.toml: setups: the base is fixed, and its pose in 'right' is missing." in said.err
+    assert "job.toml: setups: the pose of the base in 'right' is missing, and the base is fixed." in said.err
 
 
 def test_the_old_name_of_the_column_is_told(folder: Path) -> None:

@@ -22,7 +22,7 @@ from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initialise, turned, turned_by
 from calib.identification.machine import Frames, Layout, Machine, values_at
 from calib.identification.parameters import UNSHOWN_TOOL_WIDTH, UNSHOWN_TOOLS, Parameter, ParameterKind, Wider
-from calib.identification.relations import related_targets
+from calib.identification.relations import refuse_unrelated, related_targets
 from calib.identification.rows import frame_numbers
 from calib.identification.set_ups import SetUp
 from calib.identification.solver import solve
@@ -235,7 +235,7 @@ def with_new_frames(model: ErrorModel, sets: Sequence[Measurements], machine: Ma
     known = (len(frames.bases), len(frames.tools), len(frames.targets), len(frames.scalars))
     if known == (len(names.setups), len(names.tools), len(names.targets), len(names.scalars)):
         return machine
-    _refuse_unplaced(model, sets)
+    refuse_unplaced(model, names.setups)
     placed = initialise(model, sets, machine).frames
     placed = Frames(
         *(
@@ -287,19 +287,19 @@ def _refuse_too_few(new: Sequence[Parameter], layout: Layout, sets: Sequence[Mea
 
 
 def _refuse_unknown_setups(model: ErrorModel, sets: Sequence[Measurements]) -> None:
-    """Refuse set-ups that are known and in no measurement, and as :func:`_refuse_unplaced`."""
+    """Refuse set-ups that are known and in no measurement, and as :func:`refuse_unplaced`."""
     names = sets[0].setups
     for name in model.setups:
         if name not in names:
             raise JobError(
                 f"setups: {name!r} is in no measurement; the measurements have {', '.join(map(repr, names))}."
             )
-    _refuse_unplaced(model, sets)
+    refuse_unplaced(model, names)
 
 
-def _refuse_unplaced(model: ErrorModel, sets: Sequence[Measurements]) -> None:
-    """Refuse set-ups without a pose where the base is fixed."""
-    for name in sets[0].setups:
+def refuse_unplaced(model: ErrorModel, setups: Sequence[str]) -> None:
+    """Raise JobError for a set-up without a pose where the base is fixed."""
+    for name in setups:
         if model.base == "fixed" and name not in (ONLY_SETUP, *model.setups):
             raise JobError(f"setups: the pose of the base in {name!r} is missing, and the base is fixed.")
 
@@ -363,23 +363,15 @@ def _refuse_many_relations(model: ErrorModel) -> None:
 def _refuse_unknown_targets(model: ErrorModel, sets: Sequence[Measurements]) -> None:
     """Refuse what is known of targets that nobody measured, and relations of the wrong things."""
     found = targets.shapes(sets)
+    targets.refuse_unmeasured(model.targets, found)
     for name in model.targets:
-        if name not in found:
-            there = ", ".join(found) or "no targets"
-            raise JobError(f"targets: {name!r} does not appear in the measurements, which have {there}.")
         if found[name] == "frame" and not model.targets[name].height_is_known:
             raise JobError(f"targets: {name!r} is a board or camera: give its position and quaternion, not a normal.")
     for relation in model.relations:
-        shape = "point" if relation.kind == "distance" else "plane"
         a, b = (sets[0].target_links.get(name, "the floor") for name in relation.targets)
         if a != b:
             raise JobError(
                 f"relations: {relation.targets[0]!r} is on {a} and {relation.targets[1]!r} on {b}; a relation is "
                 "between targets that do not move relative to each other."
             )
-        for name in relation.targets:
-            if found.get(name) != shape:
-                raise JobError(
-                    f"relations: a known {relation.kind} is between two {shape}s, and {name!r} is "
-                    f"{'a ' + found[name] if name in found else 'in no measurement'}."
-                )
+    refuse_unrelated(model.relations, found)
