@@ -98,6 +98,6 @@ def _job_of(folder: Path) -> _Job | None:
         try:
             job = _Job.model_validate_json(source)
         except ValidationError as e:
-            raise OutputError(f"{path}: is not a job of this tool.") from e
+            raise OutputError(f"{path}: is not a job of this toolkit.") from e
         refuse_other_run(path, job.run)
     return job

@@ -269,7 +269,7 @@ def _on_worker(job: FleetJob, folder: str, version: str) -> Done:
     job = replace(job, meant=None)  # the same folder may have another name there
     if version != __version__:
         return Done(
-            job, f"{job.path}: its worker has version {__version__} of this tool, not {version}; install it there."
+            job, f"{job.path}: its worker has version {__version__} of this toolkit, not {version}; install it there."
         )
     with _ALONE:
         return _one(job, folder)

@@ -77,7 +77,7 @@ def run(inputs: Inputs, progress: Progress = lambda _: None) -> Calibration:
 
 
 def _choose(inputs: Inputs, progress: Progress) -> "Choice | None":
-    """Choose joint terms from all that is to be identified from, where the job leaves it to the tool."""
+    """Choose joint terms from all that is to be identified from, where the job leaves it to the toolkit."""
     section = inputs.job.error_model
     if section.terms != "auto":
         return None

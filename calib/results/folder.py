@@ -108,15 +108,15 @@ def _refuse_foreign(folder: Path) -> None:
     foreign = [entry.name for entry in found if entry.name not in known or entry.is_symlink() or not entry.is_file()]
     if foreign:
         raise OutputError(
-            f"{folder}: holds {foreign[0]!r}, which is no result of this tool, and results replace the whole folder; "
-            "choose another."
+            f"{folder}: holds {foreign[0]!r}, which is no result of this toolkit, and results replace the whole "
+            "folder; choose another."
         )
     if entries and not ({RESULT_FILE, MODEL_FILE} <= set(entries) and _is_ours(folder)):
-        raise OutputError(f"{folder}: is not empty and holds no whole results of this tool; choose another folder.")
+        raise OutputError(f"{folder}: is not empty and holds no whole results of this toolkit; choose another folder.")
 
 
 def _is_ours(folder: Path) -> bool:
-    """Return whether ``model.json`` of a folder is one of this tool: others have files of this name, too."""
+    """Return whether ``model.json`` of a folder is one of this toolkit: others have files of this name, too."""
     try:
         with reading_folder(folder):
             contents = parse_json(read_bytes(folder / MODEL_FILE, OutputError, LARGEST_JSON))

@@ -89,7 +89,7 @@ def read_result(folder: Path) -> ResultFile:
         except NotJsonError as e:
             raise OutputError(f"{path}: {e}.") from e
         except ValidationError as e:
-            raise OutputError(f"{path}: is not a result of this tool: {first_wrong(e)}.") from e
+            raise OutputError(f"{path}: is not a result of this toolkit: {first_wrong(e)}.") from e
         refuse_other_run(path, found.run)
     return found
 

@@ -843,7 +843,7 @@ def test_tables_are_verified_as_the_calibration_read_its_own(case: Path, tmp_pat
     (out / "job.json").write_text(json.dumps(job))
     assert "have no unit" in run("verify", out, theirs).err  # Tables were read in two ways.
     (out / "job.json").write_text('{"measurements": [{"observes": "position"}]}')
-    assert run("verify", out, table) == (1, "", f"Error: {out / 'job.json'}: is not a job of this tool.\n")
+    assert run("verify", out, table) == (1, "", f"Error: {out / 'job.json'}: is not a job of this toolkit.\n")
     (out / "job.json").unlink()
     assert run("verify", out, table, "--json") == wanted
 
@@ -927,7 +927,10 @@ def test_two_results_side_by_side_as_a_page(case: Path, tmp_path: Path) -> None:
     ):
         (other / "result.json").write_text(edited)
         said = run("compare", case / "out", other, "-o", tmp_path / "new.html")
-        assert (said.code, said.err) == (1, f"Error: {other / 'result.json'}: is not a result of this tool: {why}.\n")
+        assert (said.code, said.err) == (
+            1,
+            f"Error: {other / 'result.json'}: is not a result of this toolkit: {why}.\n",
+        )
     assert not (tmp_path / "new.html").exists()
 
 

@@ -309,7 +309,7 @@ def test_out_is_somebody_elses(folder: Path) -> None:
     refused(
         folder,
         "out",
-        f"{folder}/out: holds 'thesis.tex', which is no result of this tool, and results replace the whole folder; "
+        f"{folder}/out: holds 'thesis.tex', which is no result of this toolkit, and results replace the whole folder; "
         "choose another.",
     )
 
@@ -317,7 +317,7 @@ def test_out_is_somebody_elses(folder: Path) -> None:
 def test_out_is_a_folder_of_another_tool(folder: Path) -> None:
     (folder / "out").mkdir()
     write("out/result.json", "{}")(folder)
-    why = f"{folder}/out: is not empty and holds no whole results of this tool; choose another folder."
+    why = f"{folder}/out: is not empty and holds no whole results of this toolkit; choose another folder."
     refused(folder, "out", why)
     for model in ('{"weights": [1, 2]}', "[]", "mine"):
         write("out/model.json", model)(folder)
@@ -341,7 +341,7 @@ def test_out_holds_what_is_called_as_a_result_and_is_none(folder: Path, kind: st
     refused(
         folder,
         "out",
-        f"{folder}/out: holds 'report.md', which is no result of this tool, and results replace the whole folder; "
+        f"{folder}/out: holds 'report.md', which is no result of this toolkit, and results replace the whole folder; "
         "choose another.",
     )
 

@@ -558,7 +558,7 @@ def test_a_worker_of_another_version_writes_nothing(folder: Path, monkeypatch: p
         monkeypatch.setattr(fleets, "__version__", "9.0")
         said = run("fleet", *jobs(GOOD[0]), "--dask", cluster.scheduler_address)
     assert said.code == 1
-    why = f"jobs/plain.toml: its worker has version {ours} of this tool, not 9.0; install it there."
+    why = f"jobs/plain.toml: its worker has version {ours} of this toolkit, not 9.0; install it there."
     assert why in " ".join(said.out.split())
     assert not (folder / "fleet/plain").exists()
 
