@@ -7,7 +7,7 @@ import typer
 
 from calib.cli.application import IN_WORDS, PATH, Telling, command
 from calib.cli.options import ResultFolder, SetupName, argument, option, written
-from calib.cli.proposing import ColumnNames, IgnoredTitles, OrientationName, columns_said
+from calib.cli.proposing import AS_TITLED, AsTitled
 from calib.foundations.choices import PoseFrame, What
 from calib_start import loading
 
@@ -31,9 +31,7 @@ def compensate(
     in_order: Annotated[
         bool, typer.Option("--in-order", help="Targets are visited in their order, which tells the side of approach.")
     ] = False,
-    orientation: OrientationName = None,
-    column: ColumnNames = None,
-    ignore: IgnoredTitles = None,
+    titles: AsTitled = AS_TITLED,
     telling: Telling = IN_WORDS,
 ) -> None:
     """Correct commands: joint targets, poses or positions.
@@ -58,7 +56,7 @@ def compensate(
         say("reading the model and the targets")
         model = load_machine(results)
         try:
-            columns = columns_said(column, ignore, orientation)
+            columns = titles.columns()
             wanted = targets_of.read_targets(targets, model, tool, in_order=in_order, columns=columns)
         except HeaderError as e:
             if not e.unitless:

@@ -29,7 +29,6 @@ ColumnNames = Annotated[
     list[str] | None,
     typer.Option("--column", help="A column by our name: 'x=X2', 'joint_1 [deg]=A1'; repeatable."),
 ]
-IgnoredTitles = Annotated[list[str] | None, option("--ignore", "TITLE", "A column to pass over; repeatable.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +68,23 @@ def renamed(column: Sequence[str] | None) -> dict[str, str]:
     return columns
 
 
-def columns_said(
-    column: Sequence[str] | None, ignore: Sequence[str] | None, orientation: str | None
-) -> "Columns | None":
-    """Return how a table is read by what options say of it; None where they say nothing."""
-    from calib.measurement.table import Columns
+@dataclass(frozen=True, slots=True)
+class AsTitled:
+    """What options say of the columns of one table."""
 
-    said = column or ignore or orientation
-    return Columns(renamed(column), tuple(ignore or ()), orientation) if said else None
+    orientation: OrientationName = None
+    column: ColumnNames = None
+    ignore: Annotated[list[str] | None, option("--ignore", "TITLE", "A column to pass over; repeatable.")] = None
+
+    def columns(self) -> "Columns | None":
+        """Return how the table is read; None where the options say nothing of it."""
+        from calib.measurement.table import Columns
+
+        said = self.column or self.ignore or self.orientation
+        return Columns(renamed(self.column), tuple(self.ignore or ()), self.orientation) if said else None
+
+
+AS_TITLED = AsTitled()
 
 
 def proposed(urdf: str, files: Sequence[Path], given: Mapping[str, Any], *, ask: bool) -> "Proposal":

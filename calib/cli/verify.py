@@ -7,7 +7,7 @@ import typer
 
 from calib.cli.application import IN_WORDS, JUDGE, NOT_TRUSTED, Telling, command
 from calib.cli.options import ResultFolder, SetupName, argument, option
-from calib.cli.proposing import ColumnNames, IgnoredTitles, OrientationName, columns_said
+from calib.cli.proposing import AS_TITLED, AsTitled
 from calib.foundations.choices import Observed
 from calib_start import loading
 
@@ -43,9 +43,7 @@ def verify(
     in_order: Annotated[
         bool, typer.Option("--in-order", help="Rows are in the order of measurement, which tells the side of approach.")
     ] = False,
-    orientation: OrientationName = None,
-    column: ColumnNames = None,
-    ignore: IgnoredTitles = None,
+    titles: AsTitled = AS_TITLED,
     telling: Telling = IN_WORDS,
 ) -> None:
     """Verify a calibrated machine by new measurements.
@@ -73,7 +71,7 @@ def verify(
         say("reading the model and the measurements")
         machine = load_machine(results).at(setup)
         machine = machine if tool is None else machine.of(tool)
-        columns = columns_said(column, ignore, orientation) or columns_of_results(results, observes)
+        columns = titles.columns() or columns_of_results(results, observes)
         try:
             if tool is None and machine.tool_tips:
                 machine = _at_the_tip_of(machine, read_table(measurements, columns))
