@@ -187,8 +187,7 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
         if told and share < 1.0 / of_fit.TOO_LARGE:
             times = 1.0 / share
             found.append(
-                Finding(
-                    "warning",
+                Finding.warning(
                     "sigma-too-large",
                     f"{fit.measurements[noise.measurements].where}: sigma seems {times:.0f} times too large: "
                     f"the {noise.quantity} residuals scatter by so much less.",
@@ -198,8 +197,7 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
     found += _mirrored(fit)
     if rising := _surely(fit, _COMPLIANCE, -1.0):
         found.append(
-            Finding(
-                "warning",
+            Finding.warning(
                 "compliance-below-zero",
                 f"Compliances are below zero by more than {of_rows.SURE:g} standard deviations, of "
                 f"{listed(rising)}: no drive rises under weight. Check the direction of gravity, the "
@@ -208,8 +206,7 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
         )
     if yielding := _surely(fit, _BY_TORQUES, -1.0):
         found.append(
-            Finding(
-                "warning",
+            Finding.warning(
                 "compliance-below-zero",
                 f"Compliances by measured torques are below zero by more than {of_rows.SURE:g} standard deviations, of "
                 f"{listed(yielding)}: no joint moves against what pulls at it. Check the sign of the torques: they are "
@@ -218,8 +215,7 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
         )
     if (ahead := _surely(fit, _BACKLASH, 1.0)) and not _surely(fit, _BACKLASH, -1.0):
         found.append(
-            Finding(
-                "warning",
+            Finding.warning(
                 "backlash-above-zero",
                 f"Backlash is above zero by more than {of_rows.SURE:g} standard deviations, of {listed(ahead)}: joints "
                 "with a gap stay behind their readings. Check that the side of approach is + where a reading grew.",
@@ -229,8 +225,7 @@ def remarks(fit: Fit) -> tuple[Finding, ...]:
         return tuple(found)
     return (
         *found,
-        Finding(
-            "warning",
+        Finding.warning(
             "priors-narrowed",
             f"The solver did not converge with the usual weak priors, so they were made {fit.narrowed:g} times "
             "narrower. Parameters that the data hardly determine stay that much nearer to the nominal robot, and base "

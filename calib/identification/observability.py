@@ -106,8 +106,7 @@ def rank_findings(model: ErrorModel, measurements: Sequence[Measurements]) -> tu
     unseen = unseen_strains(problem)
     if unseen.size:
         found.append(
-            Finding(
-                "warning",
+            Finding.warning(
                 "size-unseen",
                 "The measurements do not determine the size of the arm: an arm that is larger throughout touches the "
                 "same targets in other places. The nominal size is kept. One known length determines it: "
@@ -117,8 +116,7 @@ def rank_findings(model: ErrorModel, measurements: Sequence[Measurements]) -> tu
         )
     if unseen.proportions:
         found.append(
-            Finding(
-                "warning",
+            Finding.warning(
                 "proportions-unseen",
                 "The measurements hardly determine how long the arm is along some of its axes: one that is longer or "
                 "wider there touches nearly the same targets in other places. It is kept as it is nominally. One known "
@@ -128,8 +126,7 @@ def rank_findings(model: ErrorModel, measurements: Sequence[Measurements]) -> tu
         )
     if len(problem.model.setups) > len(model.setups):
         found.append(
-            Finding(
-                "warning",
+            Finding.warning(
                 "base-unseen",
                 "Nothing was measured in an instrument's frame, so that the base is not identifiable: base.x to "
                 "base.rz are held as given. Positions from an instrument, or known places of three sockets "
@@ -158,8 +155,7 @@ def _unturned(problem: Problem) -> Iterator[Finding]:
         turned = max(float(np.linalg.norm(rigid.log3(np.swapaxes(R[:1], -1, -2) @ R), axis=1).max()) for R in parts)
         within = "" if len(parts) == 1 else " within a set-up"
         whose = "" if len(tools) == 1 else f" {tools[k]!r}"
-        yield Finding(
-            "warning",
+        yield Finding.warning(
             "tool-unseen",
             f"With the tool{whose} the tip link turns by {turned / DEG:.3g} deg at most{within}, or about one "
             "direction only. The data then do not tell an error of the tool point from one of the base or of the "

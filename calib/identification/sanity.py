@@ -461,8 +461,7 @@ def _unexplained(model: ErrorModel, sets: Sequence[Measurements], missed: float,
         "do readings and measurements of a row belong together",
         "or are there two mistakes?",
     )
-    return Finding(
-        "warning",
+    return Finding.warning(
         "unexplained",
         f"{_where(sets, range(len(sets)))}: {_misses(model, sets, missed)}, and no typical mistake explains it"
         f"{nearest if missed > _HELPFULLY * best.counted else ''}: {', '.join(questions)}",

@@ -289,23 +289,20 @@ def _doubts(
     so = f"with {sigma / MM:.3g} mm per coordinate its direction is expected to be {expected:.2g} deg off."
     smallest = min(turns)
     if smallest < (1.0 - _SHOWN) * _SMALL_TURN - _SIGMAS * sigma / radius:
-        yield Finding(
-            "warning",
+        yield Finding.warning(
             "small-turn",
             f"{names[int(turns[1] < turns[0])]} is turned by only {smallest / DEG:.3g} deg about the {axis} axis, and "
             f"60 or more are advised; {so}",
         )
     if radius < (1.0 - _SHOWN) * _SMALL_RADIUS - _SIGMAS * sigma:
-        yield Finding(
-            "warning",
+        yield Finding.warning(
             "small-radius",
             f"the mark is only {radius / MM:.3g} mm from the {axis} axis, and 100 or more are advised; {so}",
         )
     sides = np.linalg.norm(P - np.roll(P, 1, axis=0), axis=1)
     height = np.linalg.norm(np.cross(P[1] - P[0], P[2] - P[0])) / sides.max()
     if height < _THIN * sides.max():
-        yield Finding(
-            "warning",
+        yield Finding.warning(
             "almost-collinear",
             f"P1, {names[0]} and {names[1]} lie almost on a line, {height / MM:.3g} mm off one of "
             f"{sides.max() / MM:.3g} mm; {so}",

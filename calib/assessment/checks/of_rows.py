@@ -199,12 +199,12 @@ def gear(found: Mapping[str, Effect], followers: Mapping[tuple[str, str], Effect
     """
     if turned and _telling(fit, turned) < _FEWEST_TELLING:
         said = (
-            f"{turned!r} seems to be read with the wrong sign, {_OR_ROWS}: with the other one less is left of the rows."
+            f"{turned!r} seems to be read with the wrong sign, {_OR_ROWS}: with the other sign residuals are smaller."
         )
         return Check.of("gear", abs(found[turned].value), GEAR, False, said)
     if turned:
         said = (
-            f"{turned!r} seems to be read with the wrong sign: with the other one less is left of the rows. Where a "
+            f"{turned!r} seems to be read with the wrong sign: with the other sign residuals are smaller. Where a "
             "joint moves little, a tool on the other side of its axis hides that."
         )
         return Check.of("gear", abs(found[turned].value), GEAR, False, said)
