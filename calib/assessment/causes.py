@@ -2,14 +2,15 @@
 
 A few rows that lie far off, a length that is stated wrong, of rows or between targets, and a prior that holds the arm
 where it is not, bend a whole fit: what is left then looks like a base or a target that moved, and checks that are made
-for those say so. So a fit that is doubted is tried once with such rows passed over, by a robust loss, once with lengths
-that are stated free, each of its own, once without what is stated between targets, and once without the priors that are
-stated. This last one is tried where nothing is doubted, too, if more is left than the instrument has: what a prior that
-is far too narrow leaves is taken for noise, under which rows do not contradict the prior. A cause is named where it
-brings the scatter to half or less, of rows held out as well, and all checks of what else may be wrong then pass; of
-several, that which leaves least. What is stated between targets is a cause where rows miss it by more than chance. Rows
-that lie far off, all by one motion of base, tool or a joint, are no such rows: something moved. A row that is held out
-may be one as well: it bends nothing, but what is left of all held out is then nearly its own.
+for those say so. So a fit that is doubted is tried once with such rows passed over, by a robust loss, or with the tool
+or set-up by which all of them lie near the rest, once with lengths that are stated free, each of its own, once without
+what is stated between targets, and once without the priors that are stated. This last one is tried where nothing is
+doubted, too, if more is left than the instrument has: what a prior that is far too narrow leaves is taken for noise,
+under which rows do not contradict the prior. A cause is named where it brings the scatter to half or less, of rows held
+out as well, and all checks of what else may be wrong then pass; of several, that which leaves least. What is stated
+between targets is a cause where rows miss it by more than chance. Rows that lie far off, all by one motion of base,
+tool or a joint, are no such rows: something moved. A row that is held out may be one as well: it bends nothing, but
+what is left of all held out is then nearly its own.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -25,13 +26,14 @@ from calib.assessment.influence import Residue
 from calib.assessment.judged import JudgedSet
 from calib.assessment.priors import with_unit
 from calib.assessment.stretches import Stretch, stretches
-from calib.foundations.arrays import Array, BoolArray
+from calib.foundations.arrays import Array, BoolArray, IntArray, read_only_view
 from calib.foundations.chance import bound, exceeded
 from calib.foundations.errors import CalibError
 from calib.foundations.units import DEG, MM
-from calib.foundations.words import noun
+from calib.foundations.words import counted, first_of, noun, shown
 from calib.identification.fit import Fit
 from calib.identification.identify import identify, identify_near, residuals_of
+from calib.identification.initialisation.problem import with_common_names
 from calib.identification.losses import Loss
 from calib.identification.machine import values_at
 from calib.identification.parameters import Parameter, scales
@@ -49,7 +51,13 @@ _LISTED = 3
 _STRONGEST: Loss = "cauchy"
 # Of more targets each table has one length in common.
 _MOST_TARGETS = 10
+# Of more rows, exchanged names are those of the others.
+_MOST_NAMED = 0.4
 _ROLES = {"distance": "offset", "pair_distance": "offset", "sphere": "radius"}
+
+
+# What names rows, tool or set-up, and the number of that of each row.
+_Named = tuple[str, IntArray]
 
 
 class Cause(NamedTuple):
@@ -76,7 +84,7 @@ def causes(fit: Fit, sets: Sequence[JudgedSet], *, doubted: bool) -> tuple[Cause
         or [len(one.data) for one in own] != [len(data) for data in fit.measurements]
     ):
         return ()
-    every = (_passed_over, _other_lengths, _other_relations, _without_priors)
+    every = (_far_off, _other_lengths, _other_relations, _without_priors)
     tried = every if doubted else (_without_priors,) if _is_more_left(fit) else ()
     found = [one for find in tried if (one := find(fit, sets)) is not None]
     return tuple(sorted(found, key=lambda one: one.left))
@@ -104,15 +112,21 @@ def _anew(
 # ---- rows that lie far off
 
 
-def _passed_over(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
-    """Return what is left if rows that lie far off are passed over: of the fit by a robust loss, of others as they are.
+def _far_off(fit: Fit, sets: Sequence[JudgedSet]) -> Cause | None:
+    """Return what is left if rows that lie far off are of another tool or set-up, or else if they are passed over.
 
     The loss is the strongest one: a table with that passes over its own already, and one with a weaker one not quite.
     """
     anew = _anew(lambda: _by_loss(fit), sets, [one.data for one in sets])
-    if anew is None:
-        return None
-    found, judged = anew[0], list(anew[1])
+    return None if anew is None else _other_names(fit, sets, *anew) or _passed_over(fit, sets, *anew)
+
+
+def _passed_over(fit: Fit, sets: Sequence[JudgedSet], found: Fit, by_loss: Sequence[JudgedSet]) -> Cause | None:
+    """Return what is left if rows that lie far off are passed over: of the fit by a robust loss, of others as they are.
+
+    ``found``: that fit, and ``by_loss``: the tables as it leaves them.
+    """
+    judged = list(by_loss)
     parts, told, left = stretches(Residue.of(found, {})), [], []
     fitted = [k for k, one in enumerate(sets) if one.use == "identification"]
     own = dict(zip(fitted, found.measurements, strict=True))
@@ -189,6 +203,75 @@ def _rows_said(one: JudgedSet, far: BoolArray, share: float) -> str:
     return (
         f"{one.file}: {which} {lie} far from the rest, and without {it} what is left scatters "
         f"{1.0 / np.sqrt(share):.2g} times less: look at {it}{robustly}."
+    )
+
+
+def _other_names(fit: Fit, sets: Sequence[JudgedSet], found: Fit, by_loss: Sequence[JudgedSet]) -> Cause | None:
+    """Return what is left if all rows that lie far off are of the tool or set-up by which they lie near the rest.
+
+    ``found``: the fit by a robust loss, and ``by_loss``: the tables as it leaves them.
+    """
+    first = fit.measurements[0]
+    if max(len(first.tools), len(first.setups)) < 2:
+        return None
+    tables = list(with_common_names(fit.model, (first, *(one.data for one in sets)))[1:])
+    which = dict[int, tuple[BoolArray, _Named]]()
+    for k, one in enumerate(by_loss):
+        scale = _scales(one)
+        far = _far(one, scale)
+        if far.any():
+            named = _named_otherwise(found, tables[k].subset(np.flatnonzero(far)), one, scale)
+            if named is None or np.mean(far) > _MOST_NAMED:
+                return None
+            which[k] = far, named
+            tables[k] = _by_names(tables[k], far, *named)
+    own = [data for data, one in zip(tables, sets, strict=True) if one.use == "identification"]
+
+    def so_named() -> Fit:
+        return replace(identify(fit.model.within(own), own, losses=fit.losses), model=fit.model)
+
+    anew = _anew(so_named, sets, tables) if which else None
+    if anew is None:
+        return None
+    told, left = [], []
+    for k, (far, (what, _)) in which.items():
+        now, before = (float(np.sum((one.after / _scales(by_loss[k])) ** 2)) for one in (anew[1][k], sets[k]))
+        left.append(now / max(before, 1e-300))
+        told.append(_names_said(anew[1][k], far, what, left[-1]))
+    return Cause(" ".join(told), *anew, min(left)) if max(left) <= LEAST_LEFT**2 else None
+
+
+def _named_otherwise(found: Fit, far: Measurements, one: JudgedSet, scale: Array) -> _Named | None:
+    """Return by what tools, or set-ups, rows that lie ``far`` off (n,) lie near; None where not all of them do."""
+    for what, names in (("tool", found.measurements[0].tools), ("setup", found.measurements[0].setups)):
+        every = np.ones(len(far), dtype=np.bool_)
+        named = [_by_names(far, every, what, np.full(len(far), k)) for k in range(len(names))]
+        after = residuals_of(found, named, found.machine)
+        if np.any([~_far(one._replace(after=r), scale) for r in after], axis=0).all():
+            return what, np.argmin([np.sum((r / scale) ** 2, axis=1) for r in after], axis=0)
+    return None
+
+
+def _by_names(data: Measurements, rows: BoolArray, what: str, numbers: IntArray) -> Measurements:
+    """Return a table in which some ``rows`` (N,) are of other tools, or set-ups, by their numbers (n,)."""
+    named = (data.tool if what == "tool" else data.setup).copy()
+    named[rows] = numbers
+    every = read_only_view(named)
+    return replace(data, tool=every) if what == "tool" else replace(data, setup=every)
+
+
+def _names_said(one: JudgedSet, far: BoolArray, what: str, share: float) -> str:
+    """Return what is said of rows that lie ``far`` off (N,) by the names of their tools or set-ups."""
+    said, names, number = ("tool", one.data.tools, one.data.tool)
+    if what == "setup":
+        said, names, number = ("set-up", one.data.setups, one.data.setup)
+    rows = np.flatnonzero(far)
+    each = [f"row {one.data.lines[k]} {shown(names[number[k]])}" for k in rows]
+    it, fit = ("it names", "fits") if len(rows) == 1 else ("they name", "fit")
+    return (
+        f"{one.file}: {counted(len(rows), 'row')} {fit} another {said} than {it}: "
+        f"{', '.join(first_of(each, _LISTED))}. So named, what is left scatters {1.0 / np.sqrt(share):.2g} times less: "
+        "are names exchanged?"
     )
 
 

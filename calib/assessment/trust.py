@@ -49,7 +49,7 @@ _OF_CAUSES = frozenset(
 )
 _OF_WHAT_IS_LEFT = _OF_CAUSES | {"improvement", "prediction", "regions"}
 _NO_DOUBT = "No check asks for a cause."
-_NO_CAUSE = "No few rows, no stated length and no stated prior explain what a check found."
+_NO_CAUSE = "No few rows, no other names, no stated length and no stated prior explain what a check found."
 
 
 @dataclass(frozen=True, slots=True)

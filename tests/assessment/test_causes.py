@@ -101,6 +101,39 @@ def test_a_held_out_row_that_lies_far_off_is_named() -> None:
         assert all("would without that" in doubt or "as large as predicted" in doubt for doubt in found.doubts[1:])
 
 
+@pytest.mark.parametrize("what", ["tool", "setup"])
+def test_rows_that_name_another_tool_or_set_up_are_named_with_theirs(what: str) -> None:
+    """Rows of another set-up were said to need a base of their own, and those of another tool to be wrong."""
+    rng = np.random.default_rng(3)
+    robot, arm = calib.load_robot(*UR5), machines.arm(*UR5).moved(rng)
+    bases, tools = [machines.anywhere(rng)], [machines.pose((0.05, 0.02, 0.15))]
+    if what == "setup":
+        bases.append(machines.anywhere(rng))
+    else:
+        tools.append(machines.pose((-0.03, 0.04, 0.1)))
+
+    def seen(n: int, wrong: list[int]) -> calib.Measurements:
+        readings, number = rng.uniform(-2, 2, (n, 6)), np.arange(n) % 2
+        every = [base @ arm.tips(readings) @ tool for base in bases for tool in tools]
+        poses = np.where((number == 0)[:, None, None], *every)
+        poses[:, :3, 3] += rng.normal(scale=5e-5, size=(n, 3))
+        number[wrong] = 1 - number[wrong]
+        columns = machines.table(arm, readings, poses, "position") | {what: [("left", "right")[k] for k in number]}
+        return calib.read_measurements(columns, robot, sigma=5e-5)
+
+    model = calib.error_model(robot, offsets="all", placements="all")
+    data, held_out = seen(60, [7, 20, 33, 46]), seen(20, [])
+    found = calib.assess(calib.identify(model, data), held_out)
+    kind, lines = {"tool": "tool", "setup": "set-up"}[what], data.lines
+    assert told(found).startswith(
+        f"arrays: 4 rows fit another {kind} than they name: row {lines[7]} 'right', row {lines[20]} 'left', "
+        f"row {lines[33]} 'right', 1 more. So named"
+    )
+    assert all("would without that" in doubt for doubt in found.doubts[1:])
+    sound = calib.assess(calib.identify(model, held_out), data.subset([k for k in range(60) if k % 13 != 7]))
+    assert told(sound) == ""
+
+
 def test_a_sound_table_asks_for_no_cause() -> None:
     least, _ = table(lambda x, rng: x)
     assert least.trusted
