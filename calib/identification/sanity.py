@@ -204,6 +204,11 @@ def _signatures(
         return (_contradicted(sets, found),)
     every = tuple(range(len(sets)))
     tables = _trials_of_tables(model, sets) if len(every) > 1 and _seen(sets) and not camera_on else []
+    if model.tool == "position" and any(data.kind == "pose" for data in sets) and not camera_on:
+        # Poses are taken to be turned as the link of the tool is.
+        turned = _Trial(_TURNED, every, _reached(_miss, replace(model, tool="pose"), sets))
+        # A tool of each table's own explains no less.
+        tables = [turned, *(trial for trial in tables if _CLEARLY * trial.counted < turned.miss)]
     tried: list[_Trial] = []
     for scope, two_zeros in _ways(model, sets, missed > _LARGE * reach):
         trials = _trials(model, sets, scope, camera_on, two_zeros=two_zeros)
@@ -450,12 +455,10 @@ def _explained(
 
 def _unexplained(model: ErrorModel, sets: Sequence[Measurements], missed: float, best: _Trial) -> Finding:
     fixed = [name for name, freedom in (("base", model.base), ("tool", model.tool)) if freedom == "fixed"]
-    unturned = model.tool == "position" and any(data.kind == "pose" for data in sets)
     nearest = f" (the nearest, that {best.mistake.looks_as_if}, leaves {_mm(best.miss)})"
     questions = (
         "is this the URDF of the robot that was measured",
         *(f"is the given {name} right" for name in fixed),
-        *(('is the tool turned on its link, which tool = "pose" finds',) if unturned else ()),
         f"is a joint offset above {_MOST_ORDINARY * _ORDINARY_ANGLE / DEG:.0f} deg",
         *(("does a loop close another way than the URDF draws it",) if model.robot.loops else ()),
         "do readings and measurements of a row belong together",
@@ -677,6 +680,7 @@ _TABLES = (
         shrink=_CLEARLY,
     ),
 )
+_TURNED = Mistake("turned-tool", 'the tool is turned on its link, which tool = "pose" finds', lambda data: data)
 _OF_TABLES: Mapping[str, tuple[Literal["tool", "setup"], ...]] = {
     "own-tools": ("tool",),
     "own-set-ups": ("setup",),

@@ -415,12 +415,13 @@ def test_what_nothing_explains(observes: str) -> None:
     assert (finding.severity, finding.code) == ("warning", "unexplained")
 
 
-def test_of_poses_it_is_asked_whether_the_tool_is_turned() -> None:
-    """A camera on the wrist, say: poses tell its orientation, and a tool of a position alone has that of its link."""
+@pytest.mark.parametrize("tables", [1, 2])
+def test_poses_of_a_tool_that_is_turned_on_its_link_ask_for_its_pose(tables: int) -> None:
+    """A camera on the wrist, say: two tables were said to have a tool each, whose pose was then free as well."""
     lab = Lab("panda", "pose")
-    (finding,) = signatures(lab.model(tool="position"), [lab.measure()])
-    assert finding.code == "unexplained"
-    assert ', is the tool turned on its link, which tool = "pose" finds, ' in finding.sentence
+    (finding,) = signatures(lab.model(tool="position"), [lab.measure() for _ in range(tables)])
+    assert (finding.severity, finding.code) == ("error", "turned-tool")
+    assert 'it looks as if the tool is turned on its link, which tool = "pose" finds: ' in finding.sentence
 
 
 def test_an_instrument_that_stopped_is_not_taken_for_degrees() -> None:
