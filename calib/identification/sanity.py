@@ -211,10 +211,13 @@ def _signatures(
         tables = [turned, *(trial for trial in tables if _CLEARLY * trial.counted < turned.miss)]
     tried: list[_Trial] = []
     for scope, two_zeros in _ways(model, sets, missed > _LARGE * reach):
-        trials = _trials(model, sets, scope, camera_on, two_zeros=two_zeros)
-        if two_zeros and not trials:
+        if two_zeros:
+            trials = _trials_of_two_zeros(model, sets, scope)
+        else:
+            trials = [*_trials(model, sets, scope, camera_on), *tables]
+        if not trials:
             continue
-        best, *others = _likeliest(trials if two_zeros else [*trials, *tables])
+        best, *others = _likeliest(trials)
         # Readings that are made too small explain positions that hardly change: a robot that stands still does so too.
         still = _still([best.mistake.mend(sets[i]) for i in scope]) if _seen(sets) else np.inf
         if missed > _CLEARLY * best.counted and best.miss < min(_EXPLAINED * reach, still):
@@ -363,32 +366,45 @@ def _counted(trial: _Trial) -> float:
 
 
 def _trials(
+    model: ErrorModel, sets: Sequence[Measurements], scope: tuple[int, ...], camera_on: CameraPlace | None
+) -> list[_Trial]:
+    """Return trials of the promising mistakes."""
+    chosen, seen = [sets[i] for i in scope], _seen(sets)
+    others = _of_frames(model, chosen, camera_on) if seen else _of_indicators(chosen)
+    table = (*_of_readings(_tried_one_by_one(model, sets), units=seen), *others)
+    more = tuple(_not_in_screening(model, chosen, camera_on)) if seen else ()
+    return _trials_of(model, sets, scope, table, more)
+
+
+def _trials_of_two_zeros(model: ErrorModel, sets: Sequence[Measurements], scope: tuple[int, ...]) -> list[_Trial]:
+    """Return trials of the promising pairs of zeros."""
+    return _trials_of(model, sets, scope, tuple(_of_two_zeros(_tried_one_by_one(model, sets))))
+
+
+def _tried_one_by_one(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Reading, ...]:
+    """Return the readings; of too many none, as what one may have wrong is tried each time for the whole arm."""
+    most = _MOST_TRIED if _seen(sets) else _MOST_TRIED_UNSEEN
+    return model.robot.readings if len(model.robot.readings) <= most else ()
+
+
+def _trials_of(
     model: ErrorModel,
     sets: Sequence[Measurements],
     scope: tuple[int, ...],
-    camera_on: CameraPlace | None,
-    *,
-    two_zeros: bool = False,
+    table: Sequence[Mistake],
+    more: Sequence[Mistake] = (),
 ) -> list[_Trial]:
-    """Return trials of the promising mistakes; ``two_zeros``: of two zeros together alone."""
+    """Return trials of the promising mistakes of a table, and of ``more``."""
 
     def mended(mistake: Mistake) -> list[Measurements]:
         return [mistake.mend(data) if i in scope else data for i, data in enumerate(sets)]
 
-    chosen = [sets[i] for i in scope]
-    # What one reading may have wrong is tried reading by reading, each time for the whole arm.
-    seen = _seen(sets)
-    most = _MOST_TRIED if seen else _MOST_TRIED_UNSEEN
-    readings = model.robot.readings if len(model.robot.readings) <= most else ()
-    others = _of_frames(model, chosen, camera_on) if seen else _of_indicators(chosen)
-    table = tuple(_of_two_zeros(readings)) if two_zeros else (*_of_readings(readings, units=seen), *others)
     # A free base costs a search among all rotations, which few mistakes are worth: a linear fit screens them.
     # Of lengths the start shows no tool; one step does.
-    screen = (_relaxed_miss if model.base == "pose" else _first_miss) if seen else _second_miss
+    screen = (_relaxed_miss if model.base == "pose" else _first_miss) if _seen(sets) else _second_miss
     screened = [_reached(screen, model, mended(mistake)) for mistake in table]
     promising = [table[i] for i in np.sort(np.argsort(screened, kind="stable")[:_PROMISING])]
-    mistakes = (*promising, *(_not_in_screening(model, chosen, camera_on) if seen and not two_zeros else ()))
-    return [_Trial(mistake, scope, _reached(_miss, model, mended(mistake))) for mistake in mistakes]
+    return [_Trial(mistake, scope, _reached(_miss, model, mended(mistake))) for mistake in (*promising, *more)]
 
 
 def _likeliest(trials: Sequence[_Trial]) -> list[_Trial]:
