@@ -141,28 +141,16 @@ def checks(found: Sequence[Check]) -> Section | None:
         return None
     rows = [
         Row(
-            (
-                check.name,
-                _number(check.statistic),
-                _allowed(check),
-                _outcome(check),
-                check.sentence,
-            ),
+            (check.name, _number(check.statistic), _allowed(check), "yes" if check.passed else "NO", check.sentence),
             not check.passed,
         )
         for check in found
     ]
     columns = ("check", ">found", "allowed", "passed", "in words")
     idle = any(np.isnan(check.statistic) for check in found)
-    note = "-: there was nothing to judge" if idle else ""
+    note = "found -: nothing of the kind is seen, or there was nothing to judge" if idle else ""
     sheet = Sheet.of("Checks of the verdict", columns, rows, note, brief=True, told=True)
     return Section("checks", "What was checked", (sheet,))
-
-
-def _outcome(check: Check) -> str:
-    if not check.passed:
-        return "NO"
-    return "-" if np.isnan(check.statistic) else "yes"
 
 
 def _number(value: float) -> str:
