@@ -207,7 +207,9 @@ def _beyond_limits(m: Measurements, readings: Sequence[Reading]) -> Iterable[Fin
         )
     for j in (int(j) for j in np.flatnonzero((beyond > slack) & ~degrees)):
         said = "."
-        if turned[j]:
+        if readings[j].lower == readings[j].upper:
+            said = ": the URDF leaves the joint no room, as exporters do. Write its limits there, or take <limit> out."
+        elif turned[j]:
             said = ", and all fit a whole turn away: take it off there."
         elif negated[j]:
             said = ", and all fit with the other sign: does it count the other way, or is this another joint's column?"

@@ -200,6 +200,16 @@ def test_beyond_limits(row: int, column: int, value: float, severity: str, sente
     assert found(measurements(with_value(row, column, value))) == [(severity, "beyond-limits", sentence)]
 
 
+def test_limits_that_leave_no_room_say_what_to_do() -> None:
+    """Exporters that know no limits write 0 and 0; every row was refused without a remedy."""
+    data = measurements(sound_readings())
+    still = [replace(READINGS[0], lower=0.0, upper=0.0), *READINGS[1:]]
+    (said,) = (finding.sentence for finding in table_findings(data, still, REACH) if finding.code == "beyond-limits")
+    assert said.endswith(
+        ": the URDF leaves the joint no room, as exporters do. Write its limits there, or take <limit> out."
+    )
+
+
 def test_a_joint_that_never_moves() -> None:
     readings = sound_readings()
     readings[:, 1:3] = -1.0
