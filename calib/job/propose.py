@@ -136,7 +136,8 @@ def _shared_out(tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, .
         return tuple(
             replace(table, use="validate" if judge else "identify") for table, judge in zip(tables, judged, strict=True)
         ), said
-    shared = tuple(replace(table, hold_out=_share(table)) for table in tables)
+    rows = sum(table.rows for table in tables)
+    shared = tuple(replace(table, hold_out=_share(table, rows)) for table in tables)
     return shared, [f"{table.file}: {_shares(table)} to judge the rest." for table in shared]
 
 
@@ -172,11 +173,11 @@ def _named_apart(robot: Robot, tables: Sequence[ProposedTable]) -> tuple[tuple[P
     return named, [f"{', '.join(name)}: {found.sentence}."]
 
 
-def _share(table: ProposedTable) -> float:
-    """Return the share to hold out: of few rows as many as judge a fit, and at most half of them."""
-    if table.observes == "socket" or not table.rows:
+def _share(table: ProposedTable, rows: int) -> float:
+    """Return the share to hold out: of few ``rows`` of all tables as many as judge a fit, and at most half of them."""
+    if table.observes == "socket" or not rows:
         return _HELD_OUT
-    return round(min(max(_HELD_OUT, POSES / table.rows), _MOST_HELD_OUT), 2)
+    return round(min(max(_HELD_OUT, POSES / rows), _MOST_HELD_OUT), 2)
 
 
 def _shares(table: ProposedTable) -> str:
