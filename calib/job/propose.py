@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calib.assessment.checks.of_errors import POSES
-from calib.assessment.checks.of_fit import FREEDOM
+from calib.assessment.checks.of_fit import FREEDOM, told_before
 from calib.foundations.arguments import checked
 from calib.foundations.errors import CalibError, JobError, MeasurementError
 from calib.foundations.files import read_bytes
@@ -35,6 +35,8 @@ from calib.robot.robot import Robot
 from calib.robot.urdf import Urdf, read_urdf
 
 _HELD_OUT, _MOST_HELD_OUT = 0.25, 0.5
+# More rows are not few, at however few poses; to compare the poses of 100,000 takes seconds.
+_FEW_ROWS = 10_000
 # Kinds that columns tell; other kinds need what only a job says.
 _TOLD_APART: tuple[Kind, ...] = ("position", "pose", "socket", "distance")
 # What tables have whose tools and set-ups nobody names.
@@ -94,9 +96,10 @@ def propose(
             f"orientation: {shown(orientation)} says what three angles or a matrix are, and no table has them; leave "
             "it out."
         )
-    shared, said = _shared_out(tables)
+    poses = [_poses(robot, table) for table in tables]
+    shared, said = _shared_out(tables, poses)
     named, why = _named_apart(robot, shared)
-    offsets_alone = _too_few_for_placements(robot, named)
+    offsets_alone = _too_few_for_placements(robot, named, poses)
     return Proposal(str(urdf), robot, named, (*reasons, *said, *why, *offsets_alone), (), not offsets_alone)
 
 
@@ -125,8 +128,19 @@ def _tip_question(document: Urdf, arms: Sequence[Chain]) -> AskedError:
     return ask("observes", f"{document.where}: there are no measurements yet; tips are {ways}", (), "a table")
 
 
-def _shared_out(tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, ...], list[str]]:
-    """Give the tables their roles: by their names, else a share of every table is held out."""
+def _poses(robot: Robot, table: ProposedTable) -> int:
+    """Return how many rows of a table are of different poses; all, where what is wrong with rows the job says."""
+    if table.rows > _FEW_ROWS:
+        return table.rows
+    try:
+        data = read_measurements(table.file, robot, table.observes, columns=table.columns)
+    except CalibError:
+        return table.rows
+    return len(data) - told_before(data, under_conditions=False)
+
+
+def _shared_out(tables: Sequence[ProposedTable], poses: Sequence[int]) -> tuple[tuple[ProposedTable, ...], list[str]]:
+    """Give the tables their roles: by their names, else a share of the poses of every table is held out."""
     judged = [bool(_VALIDATION.search(Path(table.file).stem)) for table in tables]
     if any(judged) and not all(judged):
         said = [
@@ -136,9 +150,10 @@ def _shared_out(tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, .
         return tuple(
             replace(table, use="validate" if judge else "identify") for table, judge in zip(tables, judged, strict=True)
         ), said
-    rows = sum(table.rows for table in tables)
-    shared = tuple(replace(table, hold_out=_share(table, rows)) for table in tables)
-    return shared, [f"{table.file}: {_shares(table)} to judge the rest." for table in shared]
+    shared = tuple(replace(table, hold_out=_share(table, sum(poses))) for table in tables)
+    return shared, [
+        f"{table.file}: {_shares(table, n)} to judge the rest." for table, n in zip(shared, poses, strict=True)
+    ]
 
 
 def _named_apart(robot: Robot, tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, ...], list[str]]:
@@ -173,42 +188,51 @@ def _named_apart(robot: Robot, tables: Sequence[ProposedTable]) -> tuple[tuple[P
     return named, [f"{', '.join(name)}: {found.sentence}."]
 
 
-def _share(table: ProposedTable, rows: int) -> float:
-    """Return the share to hold out: of few ``rows`` of all tables as many as judge a fit, and at most half of them."""
-    if table.observes == "socket" or not rows:
+def _share(table: ProposedTable, poses: int) -> float:
+    """Return the share to hold out: of few ``poses`` of all tables as many as judge a fit, and at most half of them."""
+    if table.observes == "socket" or not poses:
         return _HELD_OUT
-    return round(min(max(_HELD_OUT, POSES / rows), _MOST_HELD_OUT), 2)
+    return round(min(max(_HELD_OUT, POSES / poses), _MOST_HELD_OUT), 2)
 
 
-def _shares(table: ProposedTable) -> str:
+def _shares(table: ProposedTable, poses: int) -> str:
     if table.observes == "socket":
         return "a quarter of its sockets, at least one, is held out with all its rows"
+    what = f"{table.rows} rows" if poses == table.rows else f"{poses} poses"
     if table.hold_out and table.hold_out > _HELD_OUT:
-        return f"{round(table.hold_out * table.rows)} of its {table.rows} rows are held out"
-    return f"a quarter of its {table.rows} rows is held out"
+        return f"{_held_out(table, poses)} of its {what} are held out"
+    return f"a quarter of its {what} is held out"
 
 
-def _too_few_for_placements(robot: Robot, tables: Sequence[ProposedTable]) -> list[str]:
+def _held_out(table: ProposedTable, poses: int) -> int:
+    """Return how many poses are held out, as :func:`calib.assessment.validation.hold_out` does."""
+    return max(round(table.hold_out * poses), 1) if table.hold_out else 0
+
+
+def _too_few_for_placements(robot: Robot, tables: Sequence[ProposedTable], poses: Sequence[int]) -> list[str]:
     """Return why joint offsets alone are free, where the rows leave too little to judge link placements by."""
-    own = [table for table in tables if table.use == "identify"]
-    if not own or not all(table.observes in ("position", "pose") for table in own):
+    own = [(table, n) for table, n in zip(tables, poses, strict=True) if table.use == "identify"]
+    if not own or not all(table.observes in ("position", "pose") for table, _ in own):
         return []
-    of_tool = 6 if any(table.observes == "pose" for table in own) else 3
-    tools, setups = ({getattr(table, what) for table in own} for what in ("tool", "setup"))
+    of_tool = 6 if any(table.observes == "pose" for table, _ in own) else 3
+    tools, setups = ({getattr(table, what) for table, _ in own} for what in ("tool", "setup"))
     # What poses determine of an arm with its base and its tool: L. J. Everett, M. Driels, B. W. Mooring, Kinematic
     # modelling for robot calibration, ICRA 1987. Positions do not determine the orientation of the tool.
     slides = robot.moving_types.count("prismatic")
     determined = 4 * (len(robot.moving_types) - slides) + 2 * slides + 6 * (len(setups) - 1) + of_tool * len(tools)
-    of_row = [6 if table.observes == "pose" else 3 for table in own]
-    numbers = sum(each * table.rows * (1.0 - (table.hold_out or 0.0)) for each, table in zip(of_row, own, strict=True))
+    of_row = [6 if table.observes == "pose" else 3 for table, _ in own]
+    numbers = sum(each * (n - _held_out(table, n)) for each, (table, n) in zip(of_row, own, strict=True))
     needed = determined + FREEDOM
     if numbers >= needed:
         return []
-    rows = sum(table.rows for table in own)
-    enough = math.ceil(needed / min(of_row) / (1.0 - _HELD_OUT if own[0].hold_out else 1.0))
+    rows, there = sum(table.rows for table, _ in own), sum(n for _, n in own)
+    enough = needed / min(of_row)
+    if own[0][0].hold_out:  # a quarter of them, and as many as judge a fit
+        enough = max(enough / (1.0 - _HELD_OUT), enough + POSES)
+    said = counted(rows, "row") if there == rows else f"{counted(rows, 'row')} of {counted(there, 'pose')}"
     return [
-        f"{counted(rows, 'row')} {'is' if rows == 1 else 'are'} too few to find link placements, which need about "
-        f"{enough}: joint offsets alone are free."
+        f"{said} {'is' if rows == 1 else 'are'} too few to find link placements, which need about "
+        f"{max(math.ceil(enough), there + 1)}: joint offsets alone are free."
     ]
 
 

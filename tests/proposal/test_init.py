@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import calib
 from calib.foundations.arrays import Array
 from calib.robot.sources import resolve
 from tests.proposal.twins import TWINS
@@ -475,10 +476,10 @@ def test_an_arm_of_fixed_joints_has_nothing_to_calibrate(tmp_path: Path, more: t
     assert run("check", urdf, table, *more) == (1, "", sentence)
 
 
-def few(n: int) -> None:
-    """Write n rows."""
+def few(n: int, times: int = 1) -> None:
+    """Write n poses, each so many times."""
     s, joints = session(n=n, seed=n), [f"A{k} [deg]" for k in range(1, 7)]
-    table = [np.degrees(s.readings), 1e3 * s.position]
+    table = [np.repeat(column, times, axis=0) for column in (np.degrees(s.readings), 1e3 * s.position)]
     Path("measured.csv").write_text(text([*joints, "x [mm]", "y [mm]", "z [mm]"], table), encoding="utf-8")
 
 
@@ -497,6 +498,32 @@ def test_few_rows_free_what_they_can_judge(folder: Path, n: int, placements: str
     assert run("calibrate", "calibration.toml", "-o", "out", "-q").code in (0, 3)
     of = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))["checks"]
     assert all(check["passed"] for check in of if check["name"] in ("redundancy", "held-out poses"))
+
+
+def test_rows_at_the_same_poses_are_as_few_as_their_poses(folder: Path) -> None:
+    """Of 12 poses, each measured three times, three were held out and placements were free: nothing could be judged."""
+    few(12, times=3)
+    said = run("init", UR10, "measured.csv", "--yes")
+    assert "4 of its 12 poses are held out" in " ".join(said.out.split())
+    assert "36 rows of 12 poses are too few to find link placements, which need about 17" in " ".join(said.out.split())
+    assert run("calibrate", "calibration.toml", "-o", "out", "-q").code in (0, 3)
+    of = json.loads((folder / "out" / "result.json").read_text(encoding="utf-8"))["checks"]
+    assert all(check["passed"] for check in of if check["name"] in ("redundancy", "held-out poses"))
+
+
+@pytest.mark.parametrize("n", [7, 8, 9, 10, 11, 12, 13])
+def test_rows_that_are_too_few_are_said_to_need_more_than_they_are(folder: Path, n: int) -> None:
+    """Of 10 poses it was said that they are too few, and that about 9 are needed."""
+    s = session(n=n, seed=n)
+    Path("poses.csv").write_text(
+        text(
+            [*(f"A{k} [deg]" for k in range(1, 7)), "x [mm]", "y [mm]", "z [mm]", "qw", "qx", "qy", "qz"],
+            [np.degrees(s.readings), 1e3 * s.position, quaternions(s.rotation)],
+        ),
+        encoding="utf-8",
+    )
+    said = " ".join(calib.measuring.propose(UR10, ["poses.csv"]).reasons)
+    assert ("are too few to find link placements, which need about 11:" in said) == (n < 11)
 
 
 @pytest.mark.parametrize(("n", "left"), [(8, "none is left to judge a fit by: it is refused"), (10, "5 are left")])
