@@ -350,8 +350,7 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
         strayed = _strays_question(seen, trials)
         if strayed is not None:
             raise strayed
-        best = trials[0]
-        mistake = _mistake_in(seen, best)
+        mistake, best = _mistake(seen, trials)
         raise ask(
             "columns",
             f"{where}: no way to read the columns fits the arm: the best, {seen.titles(best.pick.joints.columns)} in "
@@ -375,16 +374,21 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
     raise AssertionError("units come from the trials")
 
 
-def _mistake_in(seen: Seen, best: Trial) -> str:
-    """Return the mistake that explains why an arm does not follow; empty where none does."""
-    robot = seen.robot(best.pick.arm)
-    angle, slide, _ = best.units
-    q = readings_in(robot, _columns_of(seen, best.pick)[0], angle, slide)[best.rows]
-    data = positions(robot, q, best.position)
-    for finding in signatures(error_model(robot), [data]):
-        if finding.severity == "error":
-            return finding.sentence.removeprefix(f"{data.where}: ").removesuffix(".")
-    return ""
+def _mistake(seen: Seen, trials: Sequence[Trial]) -> tuple[str, Trial]:
+    """Return the mistake that explains why an arm does not follow, empty where none does, and how columns are read.
+
+    Where the arm does not follow, chance decides in which units it follows best: each is looked at.
+    """
+    best_in = {trial.units: trial for trial in reversed(trials)}
+    for trial in sorted(best_in.values(), key=lambda trial: trial.fit.share):
+        robot = seen.robot(trial.pick.arm)
+        angle, slide, _ = trial.units
+        q = readings_in(robot, _columns_of(seen, trial.pick)[0], angle, slide)[trial.rows]
+        data = positions(robot, q, trial.position)
+        for finding in signatures(error_model(robot), [data]):
+            if finding.severity == "error":
+                return finding.sentence.removeprefix(f"{data.where}: ").removesuffix("."), trial
+    return "", trials[0]
 
 
 def several_joints(seen: Seen, picks: Sequence[Pick]) -> AskedError:
