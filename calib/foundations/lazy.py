@@ -9,6 +9,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from types import FrameType, ModuleType
 
+from calib.foundations.errors import LITTLE_MEMORY, CalibError
+
 
 def submodules_of(package: str) -> Callable[[str], ModuleType]:
     """Return the ``__getattr__`` of a package whose modules need no import of their own: ``calib.robot.load``."""
@@ -24,6 +26,24 @@ def submodules_of(package: str) -> Callable[[str], ModuleType]:
 def modules_on_use(package: str) -> None:
     """Load the modules of a package when they are first asked for; type checkers know them by their files alone."""
     vars(sys.modules[package])["__getattr__"] = submodules_of(package)
+
+
+@contextlib.contextmanager
+def needed(error: type[CalibError], need: str, absent: str) -> Iterator[None]:
+    """Let the block load packages that not everybody has installed.
+
+    Raises ``error``: ``need`` and ``absent``, together a sentence, where one is not there. One that is there and cannot
+    be loaded, as for want of a library of the system or of memory, is not to be installed again: it is told why.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as e:
+        raise error(f"{need}{absent}.") from e
+    except ImportError as e:
+        if "failed to map segment" in str(e):
+            raise error(LITTLE_MEMORY) from e
+        why = str(e).strip().partition("\n")[0]
+        raise error(f"{need}, which is installed and cannot be loaded: {why}.") from e
 
 
 @contextlib.contextmanager

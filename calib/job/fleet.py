@@ -25,6 +25,7 @@ from calib.foundations.errors import CalibError, JobError, OutputError
 from calib.foundations.files import LARGEST_JSON, name_as_text, read_bytes, sha256
 from calib.foundations.folders import clear_left, reading_folder, real_folder, refuse_unwritable
 from calib.foundations.json_text import NotJsonError, parse_json
+from calib.foundations.lazy import needed
 from calib.foundations.version import __version__
 from calib.foundations.words import shown
 from calib.job.calibrate import calibrated
@@ -401,12 +402,10 @@ def quieten_dask() -> None:
 @contextmanager
 def _cluster(address: str, jobs: Sequence[FleetJob]) -> Iterator[Iterable[Done]]:
     """Run jobs over the workers of a Dask cluster, as :func:`_local`."""
-    try:
+    with needed(JobError, "--dask: needs a package", " that is not installed: pip install 'urdf-calib[dask]'"):
         from distributed import Client  # noqa: PLC0415 - an optional dependency
         from distributed.utils import LoopRunner  # noqa: PLC0415 - an optional dependency
         from tornado.websocket import WebSocketError  # noqa: PLC0415 - only Dask speaks it here
-    except ImportError as e:
-        raise JobError("--dask: needs a package that is not installed: pip install 'urdf-calib[dask]'.") from e
     try:
         LoopRunner(asynchronous=False).run_sync(_greeted, address)
         client = Client(address, timeout=_PATIENCE, set_as_default=False)

@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.foundations.arguments import checked
 from calib.foundations.errors import OutputError
+from calib.foundations.lazy import needed
 from calib.foundations.words import refuse_other
 from calib.identification.fit import Fit
 from calib.presentation.sheets import correlation
@@ -28,10 +29,8 @@ def data_frame(fit: Fit, what: What = "parameters") -> "DataFrame":
     word, OutputError where pandas is missing.
     """
     refuse_other(what, get_args(What), "what")
-    try:
+    with needed(OutputError, "A DataFrame needs pandas", "; install it"):
         import pandas as pd  # noqa: PLC0415 - calib must not load it on import
-    except ImportError as e:
-        raise OutputError("A DataFrame needs pandas; install it.") from e
     if what == "parameters":
         return pd.DataFrame(fit.records()).set_index("name").astype({"sigma": float, "prior": float})
     if what == "correlations":

@@ -14,6 +14,7 @@ import numpy as np
 from calib.foundations.arrays import Array, BoolArray, IntArray, read_only
 from calib.foundations.errors import JobError, MeasurementError
 from calib.foundations.files import read_bytes
+from calib.foundations.lazy import needed
 from calib.foundations.linear import svd
 from calib.foundations.native import heard
 from calib.foundations.words import shown
@@ -64,13 +65,10 @@ class Detection(NamedTuple):
 
 
 def opencv() -> Any:
-    """Return OpenCV. Raises JobError where it is not installed, or older than its detector of ChArUco boards."""
-    try:
+    """Return OpenCV. Raises JobError where it cannot be loaded, or is older than its detector of ChArUco boards."""
+    absent = ', which is not installed: python -m pip install "urdf-calib[vision]"'
+    with needed(JobError, "photographs need OpenCV", absent):
         cv2 = import_module("cv2")
-    except ImportError as e:
-        raise JobError(
-            'photographs need OpenCV, which is not installed: python -m pip install "urdf-calib[vision]".'
-        ) from e
     # What its readers of damaged images say on the terminal, ours say in a sentence.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     if not hasattr(cv2, "aruco") or not hasattr(cv2.aruco, "CharucoDetector"):

@@ -19,6 +19,7 @@ import numpy as np
 from calib.foundations.arrays import Array
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED, is_there, read_bytes, sentences
+from calib.foundations.lazy import needed
 from calib.foundations.words import counted, listed, near, shown
 from calib.measurement.formats.message_types import Told, Values, told_by
 from calib.measurement.formats.sheet import Sheet
@@ -272,17 +273,14 @@ def _may_hold(connection: Any, told: Told, wanted: str) -> bool:
 def _opened(path: Path) -> Iterator[Any]:
     """Open a recording; whatever its reader says of damage is one sentence."""
     _refuse_irregular(path)
-    try:
+    need, absent = f"{path}: recordings of ROS need the package rosbags", ": pip install 'urdf-calib[bags]'"
+    with needed(MeasurementError, need, absent):
         from apsw import Error as SqliteError  # noqa: PLC0415 - an extra
         from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415
         from rosbags.rosbag1 import ReaderError as Rosbag1Error  # noqa: PLC0415
         from rosbags.rosbag2 import ReaderError as Rosbag2Error  # noqa: PLC0415
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
         from ruamel.yaml.error import YAMLError  # noqa: PLC0415
-    except ImportError as e:
-        raise MeasurementError(
-            f"{path}: recordings of ROS need the package rosbags: pip install 'urdf-calib[bags]'."
-        ) from e
     # Those of ROS 1 define all their messages, whose headers are others.
     usual = None if path.suffix == ".bag" else get_typestore(Stores.ROS2_HUMBLE)
     try:

@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element, iterparse
 
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
+from calib.foundations.lazy import needed
 from calib.foundations.words import counted, listed, shown
 from calib.measurement.cells import Rows
 from calib.measurement.layout import header_of, is_number, refuse_two_units, units_of, with_point, with_units
@@ -56,10 +57,8 @@ def from_xlsx(data: bytes, where: str) -> Rows:
 
     A first row of numbers is no header; rows before a header are passed over. Formulas are as shown.
     """
-    try:
+    with needed(MeasurementError, f"{where}: needs the package openpyxl", ": pip install 'urdf-calib[formats]'"):
         import openpyxl  # noqa: F401, PLC0415 - an extra
-    except ImportError as e:
-        raise MeasurementError(f"{where}: needs the package openpyxl: pip install 'urdf-calib[formats]'.") from e
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             _refuse_bombs(archive, len(data), where)

@@ -5,6 +5,7 @@ from typing import Any
 
 from calib.foundations.errors import CalibError
 from calib.foundations.json_text import UnreadableError, unique_names
+from calib.foundations.lazy import needed
 from calib.foundations.words import shown
 
 # Deeper than any file that we read; PyYAML's builder in C ends the process at some ten thousand.
@@ -16,10 +17,8 @@ def read_yaml(text: str, where: str, error: type[CalibError], build: Callable[[A
 
     Raises ``error`` where the package is missing, the text is no YAML, or it holds what it may not.
     """
-    try:
+    with needed(error, f"{where}: YAML needs the package pyyaml", ": pip install 'urdf-calib[formats]'"):
         import yaml  # noqa: PLC0415 - an extra
-    except ImportError as e:
-        raise error(f"{where}: YAML needs the package pyyaml: pip install 'urdf-calib[formats]'.") from e
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
         if (wrong := trouble(yaml.parse(text, loader))) is None:
