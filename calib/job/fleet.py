@@ -369,17 +369,23 @@ def _heard(number: int, usual: Any, ours: Callable[[int, FrameType | None], NoRe
 
 @contextmanager
 def _ending_quietly() -> Iterator[None]:
-    """Let the thread in which joblib looks after its processes end without a traceback when it is told to end.
+    """Let the thread in which joblib looks after its processes end without a traceback, and never alone.
 
-    Told before it has taken the task that was given last, it has ended all processes and given up all tasks, and then
-    still looks that one up (loky 3.5). Whatever else it may meet is shown as ever.
+    Told to end before it has taken the task that was given last, it has ended all processes and given up all tasks, and
+    then still looks that one up (loky 3.5). Of whatever else ends it, as of a system that has no threads left, nobody
+    would hear, and all tasks would be waited for without end: they are given up with what it met.
     """
     before = threading.excepthook
 
     def met(said: threading.ExceptHookArgs) -> None:
         told = getattr(getattr(said.thread, "executor_flags", None), "kill_workers", False)
-        if not (told and issubclass(said.exc_type, KeyError)):
+        if told and issubclass(said.exc_type, KeyError):
+            return
+        give_up = getattr(said.thread, "terminate_broken", None)
+        if give_up is None:
             before(said)
+        else:
+            give_up(OSError(str(said.exc_value)))
 
     threading.excepthook = met
     try:

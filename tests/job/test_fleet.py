@@ -488,6 +488,20 @@ def test_ctrl_c_pressed_again_leaves_one_sentence(folder: Path) -> None:
     assert (running.wait(), *running.communicate()) == (130, "", said)
 
 
+def test_a_system_without_threads_is_told_and_not_waited_for(folder: Path) -> None:
+    """The thread that hands tasks to workers ended, and all of them were waited for without end."""
+    (folder / "jobs/other.toml").write_bytes((folder / "jobs/plain.toml").read_bytes())
+    none_left = (
+        "from joblib.externals.loky.process_executor import _ExecutorManagerThread as T\n"
+        'def none(self): raise RuntimeError("can\'t start new thread")\n'
+        f"T.add_call_item_to_queue = none\n{MAIN}"
+    )
+    command = [sys.executable, "-W", "error", "-c", none_left, "fleet", *jobs("plain.toml", "other.toml"), "-j", "2"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120.0)
+    said = "Error: calib fleet: its processes cannot be started or spoken to (can't start new thread).\n"
+    assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", said)
+
+
 def test_ending_without_workers_makes_none() -> None:
     """Also of an executor that was ended before: a new one would have semaphores, and a process that minds them."""
     from joblib.externals.loky import reusable_executor
