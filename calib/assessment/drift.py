@@ -284,8 +284,10 @@ class _Side(NamedTuple):
 
     @property
     def unidentifiable(self) -> BoolArray:
-        """Which entries have a part in what the data do not determine."""
-        return np.asarray(np.linalg.norm(self.unseen[self.rows], axis=1) > _MOVED * self.entries.scale)
+        """Which entries have a part in what the data do not determine, or are held where the data show nothing."""
+        scale = self.entries.scale
+        held = np.linalg.norm(self.shown, axis=1) <= _ROUNDING * scale
+        return np.asarray(held | (np.linalg.norm(self.unseen[self.rows], axis=1) > _MOVED * scale))
 
 
 def _ended(columns: Array) -> Array:

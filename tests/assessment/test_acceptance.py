@@ -21,7 +21,7 @@ from calib.machine.grid import grid_from_residuals
 from calib.machine.identified import outside_identified
 from calib.machine.of_fit import machine_of
 from calib.machine.residual_model import Leaning, ResidualModel
-from calib.presentation.acceptance_tables import comparison_sentences, verification_lines
+from calib.presentation.acceptance_tables import change_sheet, comparison_sentences, verification_lines
 from calib.robot.joint_terms import with_joint_terms
 from calib.robot.terms import JointTerm
 from calib.robot.urdf import parse_urdf
@@ -627,6 +627,17 @@ def test_parameters_that_move_several_entries_are_compared(policy: Literal["mini
     assert found.statistic == pytest.approx(placements.statistic, rel=0.05)
     assert found.tip_rms == pytest.approx(placements.tip_rms, rel=0.05)
     assert not found.moved
+
+
+def test_what_a_minimal_set_holds_is_not_compared() -> None:
+    """Nothing is known of it: its sigma was 0, and the table of changes was divided by it."""
+    robot, true, as_designed = machine()
+    model = calib.error_model(robot, offsets="all", placements="all")
+    # Errors that are smaller than the noise of their estimates.
+    fit = calib.identify(model, seen(replace(true, arm=as_designed), 40, 1), null_space="minimal")
+    found = compare(machine_of(fit), machine_of(fit))
+    assert {change.name for change in found.changes} <= {parameter.name for parameter in fit.parameters}
+    assert len(change_sheet(found).rows) == len(found.changes) > 5
 
 
 def two_arms(true: trees.Tree, seed: int, *, first: str = "right_hand") -> calib.CalibratedMachine:
