@@ -219,9 +219,11 @@ def _other_names(fit: Fit, sets: Sequence[JudgedSet], found: Fit, by_loss: Seque
     for k, one in enumerate(by_loss):
         scale = _scales(one)
         far = _far(one, scale)
+        if np.mean(far) > _MOST_NAMED:
+            return None
         if far.any():
             named = _named_otherwise(found, tables[k].subset(np.flatnonzero(far)), one, scale)
-            if named is None or np.mean(far) > _MOST_NAMED:
+            if named is None:
                 return None
             which[k] = far, named
             tables[k] = _by_names(tables[k], far, *named)

@@ -95,9 +95,10 @@ def verdict(
             of_rows.resolution(rounding(parts, fit.model.robot), fit),
         )
         priors, scale = contradicted(fit, parts), of_arm.common_scale(fit, parts)
+        explained = of_errors.explained(fit, decisive)
         told = (
             of_fit.convergence(fit),
-            of_errors.explained(fit, decisive),
+            explained,
             of_errors.improvement(fit, decisive),
             of_errors.prediction(fit, machine, held_out),
             of_errors.regions(machine, held_out),
@@ -119,8 +120,7 @@ def verdict(
         )
         stated = StatedNumbers(residue, parts, machine)
         wrong = any(check.name in _OF_CAUSES for check in told if not check.passed)
-        left = next(check.statistic for check in told if check.name == "explained")
-        named = of_arm.naming_zeros(fit, findings, left)
+        named = of_arm.naming_zeros(fit, findings, explained.statistic)
         every = (*told, of_arm.warnings((*named, *priors, *stated.contradicted(wrong=wrong))))
         inexact = stamps(parts, fit.machine.frames.scalars)
         alone = unchecked(residue, "tool")

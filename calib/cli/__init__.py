@@ -13,7 +13,7 @@ import typer
 
 import calib
 from calib.cli.application import BAD_INPUT, COMMANDS, INTERRUPTED, app, load
-from calib.foundations.errors import LITTLE_MEMORY, CalibError
+from calib.foundations.errors import LITTLE_MEMORY, CalibError, lacks_memory
 
 
 @app.callback(invoke_without_command=True)
@@ -39,9 +39,7 @@ def main() -> None:
         _say("interrupted.")
         sys.exit(INTERRUPTED)
     except (MemoryError, ImportError, SystemError) as error:
-        # A library for which there is no room cannot be loaded, and Python itself may lose the MemoryError on its way.
-        lost = ("failed to map segment", "without setting an exception")
-        if not isinstance(error, MemoryError) and not any(words in str(error) for words in lost):
+        if not lacks_memory(error):
             raise
         sys.stderr.write(f"Error: {LITTLE_MEMORY}\n")
         sys.exit(BAD_INPUT)

@@ -15,8 +15,15 @@ if TYPE_CHECKING:  # whoever only names an error, such as a command's help, load
 
 
 LITTLE_MEMORY = "The memory that this process may use does not suffice; see ulimit -v."
+# What a library says for which there is no room, and Python where it lost the MemoryError on its way.
+_LACKING_MEMORY = ("failed to map segment", "without setting an exception")
 _LONGEST_WORD, _LONGEST = 400, 2000
 _LONG_WORD = re.compile(rf"\S{{{_LONGEST_WORD},}}")
+
+
+def lacks_memory(error: Exception) -> bool:
+    """Tell whether an error is of memory that does not suffice."""
+    return isinstance(error, MemoryError) or any(words in str(error) for words in _LACKING_MEMORY)
 
 
 def _shortened(text: str, most: int = _LONGEST) -> str:

@@ -9,7 +9,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from types import FrameType, ModuleType
 
-from calib.foundations.errors import LITTLE_MEMORY, CalibError
+from calib.foundations.errors import LITTLE_MEMORY, CalibError, lacks_memory
 
 
 def submodules_of(package: str) -> Callable[[str], ModuleType]:
@@ -40,7 +40,7 @@ def needed(error: type[CalibError], need: str, absent: str) -> Iterator[None]:
     except ModuleNotFoundError as e:
         raise error(f"{need}{absent}.") from e
     except ImportError as e:
-        if "failed to map segment" in str(e):
+        if lacks_memory(e):
             raise error(LITTLE_MEMORY) from e
         why = str(e).strip().partition("\n")[0]
         raise error(f"{need}, which is installed and cannot be loaded: {why}.") from e

@@ -212,30 +212,37 @@ def _signatures(
         # A tool of each table's own explains no less.
         tables = [turned, *(trial for trial in tables if _CLEARLY * trial.counted < turned.miss)]
     tried: list[_Trial] = []
-    for scope, two_zeros in _ways(model, sets, missed > _LARGE * reach):
-        if two_zeros:
-            trials = _trials_of_two_zeros(model, sets, scope)
-        else:
-            trials = [*_trials(model, sets, scope, camera_on), *tables]
+    for scope, trials, most in _searches(model, sets, tables, camera_on, far=missed > _LARGE * reach):
         if not trials:
             continue
         best, *others = _likeliest(trials)
         # Readings that are made too small explain positions that hardly change: a robot that stands still does so too.
         still = _still([best.mistake.mend(sets[i]) for i in scope]) if _seen(sets) else np.inf
-        most = (_EXPLAINED_BY_TWO if two_zeros else _EXPLAINED) * reach
-        if missed > _CLEARLY * best.counted and best.miss < min(most, still):
+        if missed > _CLEARLY * best.counted and best.miss < min(most * reach, still):
             return (_explained(model, sets, missed, best, others),)
         tried.append(best)
     return (_unexplained(model, sets, missed, min(tried, key=_counted)),) if missed > _LARGE * reach else ()
 
 
-def _ways(model: ErrorModel, sets: Sequence[Measurements], far: bool) -> Iterator[tuple[tuple[int, ...], bool]]:
-    """Yield the tables in which a mistake may be, and whether it is two zeros: only where the arm is ``far`` off."""
+def _searches(
+    model: ErrorModel,
+    sets: Sequence[Measurements],
+    tables: Sequence[_Trial],
+    camera_on: CameraPlace | None,
+    *,
+    far: bool,
+) -> Iterator[tuple[tuple[int, ...], list[_Trial], float]]:
+    """Yield the tables in which a mistake may be, its trials, and the share of the reach that it may leave at most.
+
+    ``tables``: trials of what tables have of their own. ``far``: whether two zeros may be wrong.
+    """
     every = tuple(range(len(sets)))
-    yield every, False
-    yield from ((scope, False) for scope in _alone(model, sets))
+    yield every, [*_trials(model, sets, every, camera_on), *tables], _EXPLAINED
+    for scope in _alone(model, sets):
+        yield scope, [*_trials(model, sets, scope, camera_on), *tables], _EXPLAINED
     if far:
-        yield every, True
+        pairs = tuple(_of_two_zeros(_tried_one_by_one(model, sets)))
+        yield every, _trials_of(model, sets, every, pairs), _EXPLAINED_BY_TWO
 
 
 def _alone(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[tuple[int, ...]]:
@@ -377,11 +384,6 @@ def _trials(
     table = (*_of_readings(_tried_one_by_one(model, sets), units=seen), *others)
     more = tuple(_not_in_screening(model, chosen, camera_on)) if seen else ()
     return _trials_of(model, sets, scope, table, more)
-
-
-def _trials_of_two_zeros(model: ErrorModel, sets: Sequence[Measurements], scope: tuple[int, ...]) -> list[_Trial]:
-    """Return trials of the promising pairs of zeros."""
-    return _trials_of(model, sets, scope, tuple(_of_two_zeros(_tried_one_by_one(model, sets))))
 
 
 def _tried_one_by_one(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[Reading, ...]:

@@ -25,7 +25,7 @@ from calib.job.foreign.reader import read
 from calib.job.proposal import Proposal, ProposedTable, table_lines
 from calib.measurement.columns import refuse_joints_like_columns
 from calib.measurement.kinds import Kind
-from calib.measurement.measurements import ONLY_SETUP, ONLY_TOOL
+from calib.measurement.measurements import ONLY_SETUP, ONLY_TOOL, Measurements
 from calib.measurement.orientations import ORIENTATIONS
 from calib.measurement.raw import raw_table
 from calib.measurement.read import read_measurements
@@ -96,9 +96,12 @@ def propose(
             f"orientation: {shown(orientation)} says what three angles or a matrix are, and no table has them; leave "
             "it out."
         )
-    poses = [_poses(robot, table) for table in tables]
+    # One large table alone is neither few rows nor apart from others.
+    read_too = [len(tables) > 1 or table.rows <= _FEW_ROWS for table in tables]
+    data = [_measured(robot, table) if too else None for table, too in zip(tables, read_too, strict=True)]
+    poses = [_poses(one, table.rows) for one, table in zip(data, tables, strict=True)]
     shared, said = _shared_out(tables, poses)
-    named, why = _named_apart(robot, shared)
+    named, why = _named_apart(robot, shared, data)
     offsets_alone = _too_few_for_placements(robot, named, poses)
     return Proposal(str(urdf), robot, named, (*reasons, *said, *why, *offsets_alone), (), not offsets_alone)
 
@@ -128,15 +131,17 @@ def _tip_question(document: Urdf, arms: Sequence[Chain]) -> AskedError:
     return ask("observes", f"{document.where}: there are no measurements yet; tips are {ways}", (), "a table")
 
 
-def _poses(robot: Robot, table: ProposedTable) -> int:
-    """Return how many rows of a table are of different poses; all, where what is wrong with rows the job says."""
-    if table.rows > _FEW_ROWS:
-        return table.rows
+def _measured(robot: Robot, table: ProposedTable) -> Measurements | None:
+    """Return the measurements of a table; None where something is wrong with rows, which the job says."""
     try:
-        data = read_measurements(table.file, robot, table.observes, columns=table.columns)
+        return read_measurements(table.file, robot, table.observes, columns=table.columns)
     except CalibError:
-        return table.rows
-    return len(data) - told_before(data, under_conditions=False)
+        return None
+
+
+def _poses(data: Measurements | None, rows: int) -> int:
+    """Return how many of the ``rows`` of a table are of different poses; all, where its measurements are not known."""
+    return rows if data is None or rows > _FEW_ROWS else len(data) - told_before(data, under_conditions=False)
 
 
 def _shared_out(tables: Sequence[ProposedTable], poses: Sequence[int]) -> tuple[tuple[ProposedTable, ...], list[str]]:
@@ -156,14 +161,16 @@ def _shared_out(tables: Sequence[ProposedTable], poses: Sequence[int]) -> tuple[
     ]
 
 
-def _named_apart(robot: Robot, tables: Sequence[ProposedTable]) -> tuple[tuple[ProposedTable, ...], list[str]]:
+def _named_apart(
+    robot: Robot, tables: Sequence[ProposedTable], measured: Sequence[Measurements | None]
+) -> tuple[tuple[ProposedTable, ...], list[str]]:
     """Name tools, set-ups, or both by their files where each table has one of its own."""
     own = [table for table in tables if table.use == "identify"]
-    if len(own) < 2 or not all(table.observes in ("position", "pose") for table in own):
+    data = [one for one, table in zip(measured, tables, strict=True) if one is not None and table.use == "identify"]
+    if not 1 < len(own) == len(data) or not all(table.observes in ("position", "pose") for table in own):
         return tuple(tables), []
     model = error_model(robot, tool="pose" if any(table.observes == "pose" for table in own) else "position")
     try:
-        data = [read_measurements(table.file, robot, table.observes, columns=table.columns) for table in own]
         found = apart(model, data)
     except CalibError:  # what is wrong with rows, the job says
         return tuple(tables), []

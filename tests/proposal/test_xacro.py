@@ -135,26 +135,19 @@ def test_xacro_runs_again_and_takes_no_module_from_the_folder(tmp_path: Path, mo
     assert (tmp_path / "arm.urdf").read_text() == "mine"
 
 
-def test_the_urdf_of_a_xacro_file_stays_with_its_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("name", "made"), [("arm.urdf.xacro", "arm.urdf"), ("arm.urdf", "arm_expanded.urdf")])
+def test_the_urdf_of_a_xacro_file_stays_with_its_job(
+    name: str, made: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of one that is called a URDF, as Elephant Robotics' are, which is kept."""
     pytest.importorskip("xacro")
     monkeypatch.chdir(tmp_path)
     put(tmp_path, "FANUC")
-    (tmp_path / "arm.urdf.xacro").write_bytes(Path(resolve(UR10)).read_bytes())
-    assert run("init", "arm.urdf.xacro", "measured.csv", "--xacro", "--yes").code == 0
-    assert 'urdf = "arm.urdf"' in (tmp_path / "calibration.toml").read_text()
-    assert (tmp_path / "arm.urdf").read_bytes() == expanded(tmp_path / "arm.urdf.xacro").urdf
-
-
-def test_a_xacro_file_that_is_called_a_urdf_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Elephant Robotics' are; a refusal without --xacro says to let calib init run it."""
-    pytest.importorskip("xacro")
-    monkeypatch.chdir(tmp_path)
-    put(tmp_path, "FANUC")
-    (tmp_path / "arm.urdf").write_bytes(Path(resolve(UR10)).read_bytes())
-    assert run("init", "arm.urdf", "measured.csv", "--xacro", "--yes").code == 0
-    assert 'urdf = "arm_expanded.urdf"' in (tmp_path / "calibration.toml").read_text()
-    assert (tmp_path / "arm_expanded.urdf").read_bytes() == expanded(tmp_path / "arm.urdf").urdf
-    assert (tmp_path / "arm.urdf").read_bytes() == Path(resolve(UR10)).read_bytes()
+    (tmp_path / name).write_bytes(Path(resolve(UR10)).read_bytes())
+    assert run("init", name, "measured.csv", "--xacro", "--yes").code == 0
+    assert f'urdf = "{made}"' in (tmp_path / "calibration.toml").read_text()
+    assert (tmp_path / made).read_bytes() == expanded(tmp_path / name).urdf
+    assert (tmp_path / name).read_bytes() == Path(resolve(UR10)).read_bytes()
 
 
 def test_meshes_that_are_not_found_are_said_with_the_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

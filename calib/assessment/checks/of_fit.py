@@ -23,7 +23,6 @@ ROUNDING = 1e-9
 SIGMA, OF_REACH = 30.0, 5e-4
 # A sigma is said to be too large from this factor.
 TOO_LARGE = 3.0
-_MEASURE_MORE = "Measure more poses, or free fewer parameters."
 
 
 def convergence(fit: Fit) -> Check:
@@ -42,10 +41,7 @@ def redundancy(fit: Fit, doubt: str = "") -> Check:
     ``doubt``: of bases and tools that the rows do not tell, though they are many.
     """
     numbers = sum(r.size for r in fit.residuals)
-    again = sum(
-        r.shape[1] * told_before(data, under_conditions=bool(fit.robot.terms))
-        for data, r in zip(fit.measurements, fit.residuals, strict=True)
-    )
+    again = _numbers_again(fit.model, fit.measurements)
     free = sum(noise.degrees_of_freedom for noise in fit.noise_by_rows) - again
     said = f"{numbers} numbers were measured, {f'{again} of them at the same poses again, ' if again else ''}"
     said += f"and {max(free, 0.0):.0f} degrees of freedom are left to judge the fit"
@@ -61,20 +57,23 @@ def too_few(seen: Observability, model: ErrorModel, measurements: Sequence[Measu
     """
     if any(parameter.is_stated for parameter in seen.parameters) or model.relations:
         return ""
-    again = sum(
-        data.sigma.shape[1] * told_before(data, under_conditions=bool(model.robot.terms)) for data in measurements
-    )
-    left = seen.numbers - again - seen.rank
+    numbers = seen.numbers - _numbers_again(model, measurements)
+    left = numbers - seen.rank
     if left >= FREEDOM:
         return ""
-    told = (
-        f"{seen.numbers - again} measured numbers of different poses determine {seen.rank} combinations of parameters"
-    )
+    rest = f"{max(left, 0)} are left to judge a fit by, which is trusted from {FREEDOM:g} on"
     if seen.numbers <= seen.rank:
-        return f"{told}, and none is left to judge a fit by: it is refused. {_MEASURE_MORE}"
+        rest = "none is left to judge a fit by: it is refused"
     return (
-        f"{told}, and {max(left, 0)} are left to judge a fit by, which is trusted from {FREEDOM:g} on. {_MEASURE_MORE}"
+        f"{numbers} measured numbers of different poses determine {seen.rank} combinations of parameters, and {rest}. "
+        "Measure more poses, or free fewer parameters."
     )
+
+
+def _numbers_again(model: ErrorModel, measurements: Sequence[Measurements]) -> int:
+    """Return how many numbers are of rows as :func:`told_before` counts them."""
+    under_conditions = bool(model.robot.terms)
+    return sum(data.sigma.shape[1] * told_before(data, under_conditions=under_conditions) for data in measurements)
 
 
 def told_before(data: Measurements, *, under_conditions: bool) -> int:

@@ -352,16 +352,18 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
         strayed = _strays_question(seen, trials)
         if strayed is not None:
             raise strayed
-        mistake, best = _mistake(seen, trials)
+        said, best = _mistake(seen, trials)
+        answer = "a table or a URDF in which this is corrected"
+        if not said:
+            said = "is it this robot, and are signs, zeros and the order of joints those of the URDF?"
+            answer = "--column 'NAME [UNIT]=TITLE' for all joints, --angles and --lengths"
         raise ask(
             "columns",
             f"{where}: no way to read the columns fits the arm: the best, {seen.titles(best.pick.joints.columns)} in "
             f"{best.units[0]} and the point in {best.units[2]}, leaves {best.fit.share:.0%} of the spread of the "
-            f"points; {mistake or 'is it this robot, and are signs, zeros and the order of joints those of the URDF?'}",
+            f"points; {said}",
             (),
-            "a table or a URDF in which this is corrected"
-            if mistake
-            else "--column 'NAME [UNIT]=TITLE' for all joints, --angles and --lengths",
+            answer,
         )
     angle, slide = units_by_limits(seen, pick)
     length = _length_by_reach(seen, pick, trials[0].point)

@@ -172,8 +172,8 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
             "and points that are in two files",
         )
     target = seen.raw.columns[targets[0]]
-    pick = _less_a_gripper(seen, pick, target) if kind == "socket" else pick
-    units = _touched(seen, pick, target) if kind == "socket" else (*fits.units_by_limits(seen, pick), "m")
+    pick, shares = _less_a_gripper(seen, pick, target) if kind == "socket" else (pick, [])
+    units = _touched(seen, pick, target, shares) if kind == "socket" else (*fits.units_by_limits(seen, pick), "m")
     seen.reasons.append(f"{seen.titles(pick.joints.columns)} are {run_of(pick.arm.joints)}, {pick.joints.why}")
     names = _names(seen, pick, units)
     names["target"] = target.title
@@ -193,19 +193,25 @@ def _other(seen: Seen, picks: Sequence[Pick]) -> Found:
     return _result(seen, pick, kind, names, None)
 
 
-def _less_a_gripper(seen: Seen, pick: Pick, target: RawColumn) -> Pick:
-    """Return the pick, or that of the arm before its fingers where rows of one target touch one point only so."""
-    for one in (pick, *without_fingers(seen, [pick])):
-        shares = _shares(seen, one, target)
-        if shares and shares[0][0] < fits.FOLLOWS and _is_clear(shares):
-            return one
-    return pick
+_Shares = list[tuple[float, str, str]]
 
 
-def _touched(seen: Seen, pick: Pick, target: RawColumn) -> tuple[str, str, str]:
+def _less_a_gripper(seen: Seen, pick: Pick, target: RawColumn) -> tuple[Pick, _Shares]:
+    """Return the pick, or that of the arm before its fingers where rows of one target touch one point only so.
+
+    And what touches leave in each unit, as :func:`_shares` has it.
+    """
+    whole = _shares(seen, pick, target)
+    if not _touch_one_point(whole):
+        for less in without_fingers(seen, [pick]):
+            if _touch_one_point(shares := _shares(seen, less, target)):
+                return less, shares
+    return pick, whole
+
+
+def _touched(seen: Seen, pick: Pick, target: RawColumn, shares: _Shares) -> tuple[str, str, str]:
     """Return the units in which rows of one socket touch one point; by limits where they do not tell."""
-    shares = _shares(seen, pick, target)
-    if shares and shares[0][0] < fits.FOLLOWS and _is_clear(shares):
+    if _touch_one_point(shares):
         share, angle, slide = shares[0]
         if len(shares) > 1:
             seen.reasons.append(
@@ -226,9 +232,6 @@ def _touched(seen: Seen, pick: Pick, target: RawColumn) -> tuple[str, str, str]:
     return (*fits.units_by_limits(seen, pick), "m")
 
 
-_Shares = list[tuple[float, str, str]]
-
-
 def _shares(seen: Seen, pick: Pick, target: RawColumn) -> _Shares:
     """Return what touches of one target leave of the tip's motion in each unit, least first; none of too few rows."""
     robot = seen.robot(pick.arm)
@@ -244,6 +247,10 @@ def _shares(seen: Seen, pick: Pick, target: RawColumn) -> _Shares:
     return sorted(shares)
 
 
+def _touch_one_point(shares: _Shares) -> bool:
+    return bool(shares) and shares[0][0] < fits.FOLLOWS and _is_clear(shares)
+
+
 def _is_clear(shares: _Shares) -> bool:
     return len(shares) < 2 or shares[1][0] > max(fits.TIMES * shares[0][0], fits.ALIKE)
 
@@ -255,8 +262,7 @@ def _that_touch(seen: Seen, picks: Sequence[Pick]) -> list[Pick]:
         if pick.target is not None:
             found += [(one, pick) for one in _shares(seen, pick, seen.raw.columns[pick.target])]
     found.sort(key=lambda one: one[0])
-    clear = _is_clear([share for share, _ in found])
-    return [found[0][1]] if found and found[0][0][0] < fits.FOLLOWS and clear else []
+    return [found[0][1]] if _touch_one_point([share for share, _ in found]) else []
 
 
 def _names(seen: Seen, pick: Pick, units: tuple[str, str, str]) -> dict[str, str]:
