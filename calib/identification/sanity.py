@@ -221,7 +221,9 @@ def _signatures(
         if missed > _CLEARLY * best.counted and best.miss < min(most * reach, still):
             return (_explained(model, sets, missed, best, others),)
         tried.append(best)
-    return (_unexplained(model, sets, missed, min(tried, key=_counted)),) if missed > _LARGE * reach else ()
+    return (
+        (_unexplained(model, sets, missed, min(tried, key=_counted, default=None)),) if missed > _LARGE * reach else ()
+    )
 
 
 def _searches(
@@ -474,9 +476,11 @@ def _explained(
     )
 
 
-def _unexplained(model: ErrorModel, sets: Sequence[Measurements], missed: float, best: _Trial) -> Finding:
+def _unexplained(model: ErrorModel, sets: Sequence[Measurements], missed: float, best: _Trial | None) -> Finding:
     fixed = [name for name, freedom in (("base", model.base), ("tool", model.tool)) if freedom == "fixed"]
-    nearest = f" (the nearest, that {best.mistake.looks_as_if}, leaves {_mm(best.miss)})"
+    nearest = ""
+    if best is not None and missed > _HELPFULLY * best.counted:
+        nearest = f" (the nearest, that {best.mistake.looks_as_if}, leaves {_mm(best.miss)})"
     questions = (
         "is this the URDF of the robot that was measured",
         *(f"is the given {name} right" for name in fixed),
@@ -488,7 +492,7 @@ def _unexplained(model: ErrorModel, sets: Sequence[Measurements], missed: float,
     return Finding.warning(
         "unexplained",
         f"{_where(sets, range(len(sets)))}: {_misses(model, sets, missed)}, and no typical mistake explains it"
-        f"{nearest if missed > _HELPFULLY * best.counted else ''}: {', '.join(questions)}",
+        f"{nearest}: {', '.join(questions)}",
     )
 
 

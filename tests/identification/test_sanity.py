@@ -17,6 +17,7 @@ from calib.identification.sanity import signatures
 from calib.identification.targets import Target
 from calib.job.inputs import load
 from calib.measurement.checks import Finding
+from calib.robot.urdf import parse_urdf
 from scripts.examples import ur10_leica_job as job
 from tests.support import machines, touching
 from tests.support.machines import Array, Machine, anywhere, pose
@@ -571,3 +572,21 @@ def test_a_mistake_in_one_of_many_tables_is_sought_in_few(wrong: int, monkeypatc
     tried.clear()
     signatures(model, tables(range(0, 6, 2)))
     assert [len(scope) for scope in tried] == [6, 1, 1, 1]
+
+
+def test_touches_of_an_arm_of_many_joints_have_no_mistake_that_is_tried() -> None:
+    """Nothing was tried, and the best of it was asked for: a traceback."""
+    axes, n = ("0 0 1", "0 1 0", "1 0 0"), 18
+    joints = "".join(
+        f'<link name="l{k + 1}"/><joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/>'
+        f'<origin xyz="0.1 0 0.1"/><axis xyz="{axes[k % 3]}"/><limit lower="-3" upper="3"/></joint>'
+        for k in range(n)
+    )
+    robot = calib.load_robot(parse_urdf(f'<robot name="r"><link name="l0"/>{joints}</robot>'.encode(), "long.urdf"))
+    rng = np.random.default_rng(0)
+    columns = {f"j{k} [rad]": rng.uniform(-2.0, 2.0, 300) for k in range(n)}
+    touched = calib.read_measurements(
+        columns | {"target": [f"s{k % 6}" for k in range(300)]}, robot, "socket", sigma=1e-4
+    )
+    (finding,) = signatures(calib.error_model(robot, base="fixed"), [touched])
+    assert finding.code == "unexplained" and "the nearest" not in finding.sentence
