@@ -212,9 +212,9 @@ def test_wishes_of_compensate_without_effect_are_told(folder: Path) -> None:
     wishes = ("--frame", "instrument", "--clamp", "--in-order")
     said = run("compensate", "out", "targets.csv", "-o", "sent.csv", *wishes, "--json")
     notes = json.loads(said.out)["notes"]
-    assert "--frame instrument has no effect" in notes[0]
-    assert "--clamp has no effect" in notes[1]
-    assert "--in-order has no effect" in notes[2]
+    assert "frame 'instrument' has no effect" in notes[0]
+    assert "clamp has no effect" in notes[1]
+    assert "in_order has no effect" in notes[2]
     assert json.loads(run("compensate", "out", "targets.csv", "-o", "again.csv", "--json").out)["notes"] == []
 
 
@@ -496,7 +496,7 @@ def test_cell_as_json(folder: Path) -> None:
     assert (said.code, said.err) == (
         1,
         "Error: out: its base was found in an instrument's frame, and not in the base of an arm that touched it: "
-        "--placed-in arm is wrong here.\n",
+        "placed_in 'arm' is wrong here.\n",
     )
     said = run("cell", "out", "out", "-o", "cell.urdf", "--json")
     contents = json.loads(said.out)

@@ -123,8 +123,8 @@ def _within(machine: CalibratedMachine, where: str, placed_in: PlacedIn | None) 
         if placed_in is not None:
             return placed_in, ()
         return "arm", (
-            f"{where}: does not say in whose frame its base was found; it is taken as found in the arm's base. Say "
-            "--placed-in arm, or --placed-in instrument where one instrument measured both.",
+            f"{where}: does not say in whose frame its base was found; it is taken as found in the arm's base. Say by "
+            "placed_in which it is: 'arm', or 'instrument' where one instrument measured both.",
         )
     found = machine.placed.within
     if placed_in not in (None, found):
@@ -132,7 +132,7 @@ def _within(machine: CalibratedMachine, where: str, placed_in: PlacedIn | None) 
             "arm": "in the base of an arm that touched it, and not in an instrument's frame",
             "instrument": "in an instrument's frame, and not in the base of an arm that touched it",
         }[found]
-        raise JobError(f"{where}: its base was found {how}: --placed-in {placed_in} is wrong here.")
+        raise JobError(f"{where}: its base was found {how}: placed_in {placed_in!r} is wrong here.")
     return found, ()
 
 

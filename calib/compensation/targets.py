@@ -140,7 +140,7 @@ def targets(table: Table, model: CalibratedMachine, tool: str = "tool", *, in_or
     sided_columns(table, model.robot.readings, in_order=in_order)
     if unsaid := lacking(model.robot.terms, list(joints), with_sides(told, len(table), len(joints))):
         needs = f"there is no column {unsaid[1]!r}, which {unsaid[0]} of the machine needs"
-        otherwise = "; targets in the order of their visits tell it, too: --in-order" if APPROACH in unsaid[1] else ""
+        otherwise = "; targets in the order of their visits tell it, too: in_order" if APPROACH in unsaid[1] else ""
         raise MeasurementError(f"{where}: {needs}{otherwise}.")
     return Targets(start, poses, tools, told, table)
 
@@ -149,13 +149,13 @@ def _unknown(name: str, known: Sequence[str]) -> str:
     """Return what is to be said of a column that targets do not have; ``known``: columns that they may have."""
     if name in (*ANGLES, *MATRIX) and "qw" in known:
         kinds = "matrix" if name in MATRIX else "rotation_vector, abc, wpr, rpy, or an order like ZYX or xyz"
-        return f"is of an orientation, and nothing says of which kind; --orientation does ({kinds})"
-    angles = ", or its three angles rx, ry, rz (--orientation)" if "qw" in known else ""
+        return f"is of an orientation, and nothing says of which kind; orientation does ({kinds})"
+    angles = ", or its three angles rx, ry, rz with orientation" if "qw" in known else ""
     near = nearest(name, known) or (
         f"; allowed are joints, or x, y, z, with qw, qx, qy, qz of a pose{angles}, and what joint terms need"
     )
     return (
-        f"is not one of targets{near}; --column 'NAME={name}' reads it as the one that it is, and --ignore {name!r} "
+        f"is not one of targets{near}; columns, or --column 'NAME={name}', reads it as the one that it is, and ignore "
         "passes it over"
     )
 
@@ -181,7 +181,7 @@ def corrections(
             if name != model.setup:
                 raise MeasurementError(
                     f"{wanted.table.where}:{line}: is of the set-up {name!r}, and the commands are for "
-                    f"{model.setup!r}; correct the targets of one set-up at a time, by --setup."
+                    f"{model.setup!r}; correct the targets of one set-up at a time."
                 )
     if wanted.poses is None:
         readings = cast(Array, wanted.readings)
@@ -209,7 +209,10 @@ def corrections(
             )
         elif wanted.poses is not None:
             other: PoseFrame = "instrument" if frame == "base" else "base"
-            hint = f" They are taken to be in the frame of the {frame}; --frame {other} takes them in the other one."
+            hint = (
+                f" They are taken to be in the frame of the {frame}; if they are in that of the {other}, say so "
+                f'(frame = "{other}", --frame {other}).'
+            )
         hint = " ".join((hint, *in_base(model, wanted, frame=frame)))
         raise MeasurementError(
             f"{table.where}: none of the {len(found)} targets can be reached; that of line {table.lines[0]}: "
@@ -227,16 +230,16 @@ def idle(model: CalibratedMachine, wanted: Targets, *, frame: PoseFrame, clamp: 
     """Return what is to be said of wishes that change nothing of these targets, and of what they do not tell."""
     said = []
     if wanted.poses is None and frame != "base":
-        said.append(f"{wanted.table.where}: holds joint targets, which are in no frame: --frame {frame} has no effect.")
+        said.append(f"{wanted.table.where}: holds joint targets, which are in no frame: frame {frame!r} has no effect.")
     if clamp and model.residual_model is None:
-        said.append("The machine has no residual model: --clamp has no effect.")
+        said.append("The machine has no residual model: clamp has no effect.")
     if wanted.readings is None and (others := _weighing(model, wanted.tools)):
         said.append(
             f"{wanted.table.where}: what hangs on {listed(others)} weighs on joints of this arm, and no column says "
             "where these are; the commands are for what the search puts them to. Give the joints to start from."
         )
     if wanted.conditions.ordered and not sided(model.robot):
-        said.append("The machine has no joint term that asks for sides of approach: --in-order has no effect.")
+        said.append("The machine has no joint term that asks for sides of approach: in_order has no effect.")
     return tuple(said)
 
 

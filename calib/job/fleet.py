@@ -408,7 +408,7 @@ def quieten_dask() -> None:
 @contextmanager
 def _cluster(address: str, jobs: Sequence[FleetJob]) -> Iterator[Iterable[Done]]:
     """Run jobs over the workers of a Dask cluster, as :func:`_local`."""
-    with needed(JobError, "--dask: needs a package", " that is not installed: pip install 'urdf-calib[dask]'"):
+    with needed(JobError, "dask: needs a package", " that is not installed: pip install 'urdf-calib[dask]'"):
         from distributed import Client  # noqa: PLC0415 - an optional dependency
         from distributed.utils import LoopRunner  # noqa: PLC0415 - an optional dependency
         from tornado.websocket import WebSocketError  # noqa: PLC0415 - only Dask speaks it here

@@ -141,7 +141,7 @@ class CalibratedMachine:
         """
         if setup is None and len(self.bases) > 1:
             raise MeasurementError(
-                f"{where}: was calibrated in several set-ups, {listed(self.bases)}; say which one is meant, by --setup."
+                f"{where}: was calibrated in several set-ups, {listed(self.bases)}; say which one is meant, by setup."
             )
         return self.at(setup)
 
@@ -308,8 +308,8 @@ def _not_identified(what: str, name: str, own: Sequence[str]) -> str:
     if what == "tool":
         return f"the tool {name!r} was not identified; {known}."
     if name == ONLY_SETUP:
-        return f"no column says in which set-up the rows were measured; {known}: name one by --setup."
+        return f"no column says in which set-up the rows were measured; {known}: name one by setup."
     return (
         f"the set-up {name!r} was not identified; {known}. Where only the base is new, such rows are judged as of a "
-        f"known one, with its base found anew: --ignore the column, --setup {own[0]} --refit-base."
+        f"known one, with its base found anew: ignore the column, name setup {own[0]!r} and ask for a refit."
     )

@@ -759,7 +759,7 @@ def test_no_cluster(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(JobError) as caught:
         run_fleet(chosen, dask="tcp://127.0.0.1:1")
-    assert str(caught.value) == "--dask: needs a package that is not installed: pip install 'urdf-calib[dask]'."
+    assert str(caught.value) == "dask: needs a package that is not installed: pip install 'urdf-calib[dask]'."
 
 
 # What is shown. ---------------------------------------------------------------------------------------------------

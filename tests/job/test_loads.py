@@ -146,7 +146,7 @@ def test_payloads_by_table_and_a_wall_by_set_up(folder: Path) -> None:
     turns = {f"{reading.name} [rad]": q[:, k] for k, reading in enumerate(machine.robot.readings)}
     write(folder / "cone.csv", turns | {"target": ["cone"] * 3})
     asked_for = run("performance", out, folder / "cone.csv")
-    assert (asked_for.code, "say which one is meant, by --setup" in asked_for.err) == (1, True)
+    assert (asked_for.code, "say which one is meant, by setup" in asked_for.err) == (1, True)
     told = [
         json.loads(run("performance", out, folder / "cone.csv", "--setup", name, "--json").out) for name in bases_of
     ]
@@ -154,7 +154,7 @@ def test_payloads_by_table_and_a_wall_by_set_up(folder: Path) -> None:
 
     # What a file for a controller leaves out costs another distance in each.
     asked_for = run("export", out, "--to", "offsets", "-o", folder / "none.csv")
-    assert (asked_for.code, "say which one is meant, by --setup" in asked_for.err) == (1, True)
+    assert (asked_for.code, "say which one is meant, by setup" in asked_for.err) == (1, True)
     costs = []
     for name in bases_of:
         written = run("export", out, "--to", "offsets", "-o", folder / f"of_{name}.csv", "--setup", name, "--json")

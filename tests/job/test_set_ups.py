@@ -111,7 +111,7 @@ def test_an_arm_from_two_places(folder: Path) -> None:
     head, *rows = (folder / "judge.csv").read_text().splitlines()
     (folder / "new.csv").write_text("\n".join([f"{head}, setup", *(f"{row}, new" for row in rows)]) + "\n")
     judge = ("verify", out, folder / "new.csv", "--tool", "ball", "--refit-base", "-q")
-    assert "judged as of a known one, with its base found anew: --ignore the column, --setup left" in run(*judge).err
+    assert "judged as of a known one, with its base found anew: ignore the column, name setup 'left'" in run(*judge).err
     assert run(*judge, "--ignore", "setup", "--setup", "left").code == 0
     nameless = run("verify", out, folder / "judge.csv", "--tool", "ball", "--refit-base", "-q").err
     assert "no column says in which set-up the rows were measured; known are 'left', 'right': name one" in nameless
@@ -134,7 +134,7 @@ def test_an_arm_from_two_places(folder: Path) -> None:
         cell = run("cell", out, out, "-o", folder / f"{setup}.urdf", *placed_in)
         np.testing.assert_allclose(json.loads(cell.out)["placement"], np.eye(4), atol=1e-9)
     # Which one is meant is not guessed.
-    which = f"{out}: was calibrated in several set-ups, 'left', 'right'; say which one is meant, by --setup.\n"
+    which = f"{out}: was calibrated in several set-ups, 'left', 'right'; say which one is meant, by setup.\n"
     said = run("cell", out, out, "-o", folder / "cell.urdf")
     assert (said.code, said.err) == (1, f"Error: {which}")
     options = ("--tool", "ball", "--frame", "instrument", "-q")

@@ -446,7 +446,7 @@ def test_a_marker_of_motive_is_a_point_where_no_rigid_body_was_made(folder: Path
     (folder / "two.csv").write_text(export("SMR", "Base:Marker1"))
     said = run("import", "two.csv", "-o", "point.csv")
     assert said.err == (
-        "Error: two.csv: has several markers; say which one by --topic; there are 'SMR', 'Base:Marker1'.\n"
+        "Error: two.csv: has several markers; say which one by topic; there are 'SMR', 'Base:Marker1'.\n"
     )
     said = run("import", "two.csv", "--topic", "Base:Marker1", "-o", "point.csv")
     assert "the marker 'Base:Marker1' of Motive; 0 frames that lost it are left out." in " ".join(said.out.split())

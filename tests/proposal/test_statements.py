@@ -124,8 +124,8 @@ def test_what_was_measured_and_what_was_meant_are_two_kinds(folder: Path) -> Non
     with pytest.raises(calib.MeasurementError) as caught:
         made(folder, lines)
     assert str(caught.value) == (
-        "a.txt: has several kinds of lines with numbers in brackets: 3 rows as 'target [ 1 , 2 , 0 ]' (line 1, --topic "
-        "target); 3 rows as 'actual [ 1.1 , 2.1 , 0.1 ]' (line 2, --topic actual); say by --topic WORD which are "
+        "a.txt: has several kinds of lines with numbers in brackets: 3 rows as 'target [ 1 , 2 , 0 ]' (line 1, topic "
+        "target); 3 rows as 'actual [ 1.1 , 2.1 , 0.1 ]' (line 2, topic actual); say by topic which are "
         "meant, a word that the others do not have, or keep only these."
     )
     assert [one[2] for one in made(folder, lines, "actual").rows] == ["0.1", "1.1", "2.1"]
@@ -270,7 +270,7 @@ def test_numbers_that_are_called_otherwise_are_another_kind(folder: Path) -> Non
     """The one AXIS of a program became a row of its frames, which have as many numbers."""
     frames = "".join(f"DECL FRAME F{k}={{X {k}.5,Y 2.5,Z 3.5,A 4.5,B 5.5,C 6.5}}\n" for k in range(3))
     axis = "DECL AXIS H={A1 1.5,A2 2.5,A3 3.5,A4 4.5,A5 5.5,A6 6.5}\n"
-    with pytest.raises(calib.MeasurementError, match=r"1 row as 'DECL AXIS .*--topic AXIS\); 3 rows .*--topic FRAME\)"):
+    with pytest.raises(calib.MeasurementError, match=r"1 row as 'DECL AXIS .*topic AXIS\); 3 rows .*topic FRAME\)"):
         made(folder, axis + frames)
     assert made(folder, axis + frames, "AXIS").titles == ("A1", "A2", "A3", "A4", "A5", "A6")
     assert made(folder, axis + frames, "FRAME").titles == ("name", "X", "Y", "Z", "A", "B", "C")
@@ -309,7 +309,7 @@ def test_words_behind_lines_that_come_again_tell_kinds(folder: Path, behind: str
     words = ["target", "actual", "target", "actual"]
     lines = "".join(f"q = [{k}.5, 2.5, 3.5]{behind.format(word, k=k)}\n" for k, word in enumerate(words))
     lines += "q = [9.5, 2.5, 3.5] # the last one\n"
-    with pytest.raises(calib.MeasurementError, match=r"2 rows as .*--topic target\); 2 rows as .*--topic actual\)"):
+    with pytest.raises(calib.MeasurementError, match=r"2 rows as .*topic target\); 2 rows as .*topic actual\)"):
         made(folder, lines)
 
 
@@ -318,9 +318,9 @@ def test_names_beside_words_that_tell_kinds_leave_them_told(folder: Path, mark: 
     """Of ``target a`` and ``target b`` each comes once: targets became rows among what was reached."""
     words = ["target a", "actual b", "target c", "actual d"]
     lines = "".join(f"q = [{k}.5, 2.5, 3.5] {mark}{word}\n" for k, word in enumerate(words))
-    with pytest.raises(calib.MeasurementError, match=r"2 rows as .*--topic target\); 2 rows as .*--topic actual\)"):
+    with pytest.raises(calib.MeasurementError, match=r"2 rows as .*topic target\); 2 rows as .*topic actual\)"):
         made(folder, lines)
-    with pytest.raises(calib.MeasurementError, match=r"2 rows as .*; 2 rows as .*--topic actual\)"):
+    with pytest.raises(calib.MeasurementError, match=r"2 rows as .*; 2 rows as .*topic actual\)"):
         made(folder, lines.replace(f"{mark}target a", "").replace(f"{mark}target c", ""))
 
 

@@ -72,7 +72,7 @@ def test_columns_without_names_that_do_not_fit_are_to_be_named(tmp_path: Path) -
     rng = np.random.default_rng(0)
     file = tmp_path / "table.csv"
     file.write_text(text(None, [rng.uniform(-90.0, 90.0, (40, 6)), rng.uniform(-900.0, 900.0, (40, 9))]))
-    with pytest.raises(calib.MeasurementError, match=r"if some are, say which: --column 'shoulder_pan_joint \[deg\]"):
+    with pytest.raises(calib.MeasurementError, match=r"say which by columns, or --column 'shoulder_pan_joint \[deg\]"):
         calib.measuring.propose(URDF_OF["UR10"], [file])
 
 

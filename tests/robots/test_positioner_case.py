@@ -170,7 +170,7 @@ def test_whose_frame_it_is_is_known(results: Path, tmp_path: Path) -> None:
     said = run("cell", CASE / "welder.urdf", results, "-o", out, "--placed-in", "instrument")
     assert said.code == 1 and said.err == (
         f"Error: {results}: its base was found in the base of an arm that touched it, and not in an instrument's "
-        "frame: --placed-in instrument is wrong here.\n"
+        "frame: placed_in 'instrument' is wrong here.\n"
     )
     assert not out.exists()
     old = without(results, tmp_path / "old", "uncertainty.json")

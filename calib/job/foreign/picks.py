@@ -234,7 +234,11 @@ def no_joints(seen: Seen) -> Exception:
             f"--column '{longest[0]} [deg]=TITLE' and so on, or --tip LINK",
         )
     numbers = sum(column.numbers is not None for column in seen.raw.columns)
-    way = f"; if some are, say which: --column '{longest[0]} [deg]=TITLE', and so on" if numbers >= len(longest) else ""
+    way = (
+        f"; if some are, say which by columns, or --column '{longest[0]} [deg]=TITLE' and so on"
+        if numbers >= len(longest)
+        else ""
+    )
     return MeasurementError(
         f"{seen.raw.where}: no column is a joint of the arm ({run_of(longest)}); the columns are {there}{way}."
     )

@@ -101,7 +101,7 @@ def _names(robot: Robot) -> tuple[str, ...]:
 
 def _not_chosen(name: str, allowed: Sequence[str]) -> str:
     if name in (*QUATERNION_COLUMNS, *ANGLES, *MATRIX):
-        return f"{name!r} is of an orientation, whose columns the fit finds; say --orientation where it asks."
+        return f"{name!r} is of an orientation, whose columns the fit finds; give orientation where it asks."
     return f"{shown(name)} is neither a joint of the arm nor a known column{nearest(name, allowed)}."
 
 

@@ -105,7 +105,7 @@ def _chosen(kinds: Sequence[str], names: Sequence[str], wanted: str | None, wher
     if not there:
         raise MeasurementError(f"{where}: has no rigid bodies, and no markers.")
     if wanted is not None or len(there) > 1:
-        said = f"several {what}; say which one by --topic" if wanted is None else f"no {kind.lower()} {shown(wanted)}"
+        said = f"several {what}; say which one by topic" if wanted is None else f"no {kind.lower()} {shown(wanted)}"
         raise MeasurementError(f"{where}: has {said}; there are {listed(there)}.")
     return kind, next(iter(there))
 

@@ -138,8 +138,8 @@ def from_statements(data: bytes, where: str, part: str | None = None) -> Rows | 
         )
         more = f"; and {len(kinds) - _MOST_TOLD} more kinds" if len(kinds) > _MOST_TOLD else ""
         raise MeasurementError(
-            f"{where}: has several kinds of lines with numbers in brackets: {told}{more}; say by --topic WORD which "
-            "are meant, a word that the others do not have, or keep only these."
+            f"{where}: has several kinds of lines with numbers in brackets: {told}{more}; say by topic which are "
+            "meant, a word that the others do not have, or keep only these."
         )
     _refuse_decimal_commas(kinds[0], where)
     titles, rows = _table(kinds[0], where)
@@ -206,7 +206,7 @@ def _runs(tokens: Sequence[_Token]) -> Iterator[list[int]]:
 
 
 def _told(statement: _Statement, word: str = "") -> str:
-    how = f", --topic {word}" if word else ""
+    how = f", topic {word}" if word else ""
     return f"{shown(' '.join(token.text for token in statement.tokens[:12]))} (line {statement.tokens[0].line}{how})"
 
 

@@ -409,7 +409,7 @@ def _refuse_mimics(robot: Robot) -> None:
         if mimic is not None:
             raise RobotError(
                 f"{robot.urdf.where}: joint {joint.name!r} mimics {mimic.joint!r}, and in a DH table every joint moves "
-                "by itself; calib dh takes a --base or a --tip that leaves it out."
+                "by itself; take a base or a tip that leaves it out."
             )
 
 
