@@ -240,8 +240,8 @@ def _as_read_by(
 def _loaded_as(one: CalibratedMachine, other: CalibratedMachine) -> CalibratedMachine:
     """Return another machine under the load of one: first set-ups, at which machines are, may have carried others."""
     load, robot = one.robot.load, other.robot
-    payload = load.payload and replace(load.payload, link=load.payload.link or (*one.robot.links, one.robot.tip)[0])
-    if not robot.terms or load == robot.load or (payload and payload.link not in (*robot.links, robot.tip)):
+    payload = load.payload and replace(load.payload, link=load.payload.link or one.robot.links[0])
+    if not robot.terms or load == robot.load or (payload and payload.link not in robot.links):
         return other
     alike = replace(robot, gravity=load.gravity, payload=payload, loads={})
     return replace(other, robot=with_joint_terms(alike, robot.terms), in_urdf=None)

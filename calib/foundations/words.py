@@ -57,6 +57,11 @@ def not_calibrated(what: str, name: str, calibrated: Collection[str]) -> str:
     return f"there is no {what} {shown(name)}; {known if calibrated else 'none was calibrated'}"
 
 
+def not_loaded(link: str, links: Collection[str]) -> str:
+    """Return the sentence, without its full stop, about a link that is not one of those of a robot."""
+    return f"{shown(link)} is not one of the links that the robot was loaded with: {listed(links)}"
+
+
 def refuse_other(word: str, allowed: Collection[str], where: str, error: type[CalibError] = JobError) -> None:
     """Raise ``error`` for a word that is not one of those allowed."""
     if word not in allowed:

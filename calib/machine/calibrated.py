@@ -77,7 +77,7 @@ class CalibratedMachine:
 
         Raises MeasurementError for an unknown one.
         """
-        tip = self.tool_tips.get(self.tool_named(tool), self.robot.links[0] if self.robot.links else self.robot.tip)
+        tip = self.tool_tips.get(self.tool_named(tool), self.robot.links[0])
         if tip == self.robot.tip:
             return self
         # What is left over was learned at another tip.
@@ -304,12 +304,11 @@ def readings_of(machine: CalibratedMachine, readings: npt.ArrayLike) -> Array:
 
 def _not_identified(what: str, name: str, own: Sequence[str]) -> str:
     """Return what to say of rows of a tool or set-up that a machine does not have."""
-    known = f"known are {', '.join(map(repr, own))}"
     if what == "tool":
-        return f"the tool {name!r} was not identified; {known}."
+        return f"{not_calibrated(what, name, own)}."
     if name == ONLY_SETUP:
-        return f"no column says in which set-up the rows were measured; {known}: name one by setup."
+        return f"no column says in which set-up the rows were measured; known are {listed(own)}: name one by setup."
     return (
-        f"the set-up {name!r} was not identified; {known}. Where only the base is new, such rows are judged as of a "
-        f"known one, with its base found anew: ignore the column, name setup {own[0]!r} and ask for a refit."
+        f"{not_calibrated(what, name, own)}. Where only the base is new, such rows are judged as of a known one, with "
+        f"its base found anew: ignore the column, name setup {own[0]!r} and ask for a refit."
     )

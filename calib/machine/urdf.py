@@ -67,7 +67,7 @@ def calibrated_urdf(robot: Robot, deviations: Deviations) -> bytes:
         readings = _where_loops_close(robot, plain, again, readings)
     difference = max(
         float(np.abs(again.with_tip(link).tips(readings) - robot.with_tip(link).tips(readings, plain)).max(initial=0.0))
-        for link in robot.links or (robot.tip,)
+        for link in robot.links
     )
     if not difference < _ROUNDING:
         raise OutputError(f"the calibrated URDF read back differs from the calibrated machine by {difference:.3g}.")

@@ -13,7 +13,7 @@ from calib.foundations.errors import JobError, MeasurementError, naming_rows
 from calib.foundations.ranges import refuse_shape
 from calib.foundations.sealing import sealed
 from calib.foundations.units import MM
-from calib.foundations.words import counted, listed
+from calib.foundations.words import counted, listed, not_loaded
 from calib.measurement.boards import Board
 from calib.measurement.instruments import Camera
 from calib.measurement.kinds import Kind
@@ -197,14 +197,11 @@ class Measurements:
 
         Raises MeasurementError where the robot was not loaded with that link.
         """
-        link = payload.link or self.tip or (robot.links or (robot.tip,))[0]
-        if link not in (robot.links or (robot.tip,)):
-            raise MeasurementError(
-                f"{self.where}: the payload is on {link!r}, which is not one of the links that the robot was loaded "
-                f"with: {', '.join(map(repr, robot.links))}."
-            )
+        link = payload.link or self.tip or robot.links[0]
+        if link not in robot.links:
+            raise MeasurementError(f"{self.where}: the payload's link {not_loaded(link, robot.links)}.")
         moments = robot.moments(replace(payload, link=link))
-        moments[[other != link for other in robot.links or (robot.tip,)]] = np.nan
+        moments[[other != link for other in robot.links]] = np.nan
         every = np.tile(moments, (len(self), 1, 1))
         return self._told(lambda told: replace(told, payload=_where_unsaid(told.payload, every)))
 

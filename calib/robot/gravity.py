@@ -21,6 +21,7 @@ from calib.foundations.arrays import Array, BoolArray, read_only_view
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond
 from calib.foundations.sealing import sealed
+from calib.foundations.words import not_loaded
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.flexures import Mechanism
 from calib.robot.kinematics import Frame, Joints, Kinematics, Mass, Regressor, Weighed
@@ -82,10 +83,7 @@ def checked_gravity(gravity: Sequence[float], where: str) -> tuple[float, float,
 def checked_payload(payload: Payload | None, links: Sequence[str], where: str) -> Payload | None:
     """Return a payload as it is. Raises RobotError where it is on none of the ``links``."""
     if payload is not None and payload.link and payload.link not in links:
-        raise RobotError(
-            f"{where}: the payload is on {payload.link!r}, which is not one of the links that the robot was loaded "
-            f"with: {', '.join(map(repr, links))}."
-        )
+        raise RobotError(f"{where}: the payload's link {not_loaded(payload.link, links)}.")
     return payload
 
 

@@ -207,7 +207,7 @@ def _payload(robot: Robot) -> tuple[Body, ...]:
     payload = robot.load.payload
     if payload is None:
         return ()
-    at = robot.carrier(payload.link or (robot.links or (robot.tip,))[0])
+    at = robot.carrier(payload.link or robot.links[0])
     inertia = read_only(np.zeros((3, 3)))
     return (Body(at, payload.mass, read_only(payload.position), inertia),) if at >= 0 else ()
 

@@ -91,12 +91,12 @@ def load_robot(
         read_only(coupling),
         read_only(coupling_offset),
         read_only(offset_coupling),
+        every,
         closed,
         tuple(couplings),
         tuple(loops),
         gravity=checked_gravity(gravity, document.where),
         payload=checked_payload(payload, every, document.where),
-        links=every,
     )
 
 
@@ -118,7 +118,7 @@ def with_document(
         return joints.get(name, name)
 
     # As it was loaded: the first link comes first in the order of readings, whichever is the tip now.
-    first = robot.links[0] if robot.links else robot.tip
+    first = robot.links[0]
     found = load_robot(
         document,
         link(first),

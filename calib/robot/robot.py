@@ -20,7 +20,7 @@ from calib.foundations.brief import brief
 from calib.foundations.errors import RobotError
 from calib.foundations.ranges import refuse_beyond, refuse_shape
 from calib.foundations.sealing import sealed
-from calib.foundations.words import counted, listed, shown
+from calib.foundations.words import counted, listed, not_loaded, shown
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.deviation import Motions
 from calib.robot.flexures import Mechanism, mechanism
@@ -213,6 +213,7 @@ class Robot:
     coupling: Array
     coupling_offset: Array
     offset_coupling: Array
+    links: tuple[str, ...]
     loops: tuple[Loop, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     closed_loops: tuple[ClosedLoop, ...] = ()
@@ -220,7 +221,6 @@ class Robot:
     weights: Weights | None = None
     gravity: tuple[float, float, float] = STANDARD_GRAVITY
     payload: Payload | None = None
-    links: tuple[str, ...] = ()
     loads: Mapping[str, Load] = field(default_factory=dict)
     setup: str = ""
 
@@ -261,10 +261,9 @@ class Robot:
     @checked
     def moments(self, payload: Payload | None) -> Array:
         """Return first moments in kg m, and masses in kg, of a payload (links, 4) on the robot's ``links``."""
-        links = self.links or (self.tip,)
-        found = np.zeros((len(links), 4))
+        found = np.zeros((len(self.links), 4))
         if payload is not None:
-            found[links.index(payload.link or links[0])] = payload.moments
+            found[self.links.index(payload.link or self.links[0])] = payload.moments
         return found
 
     @checked
@@ -276,10 +275,7 @@ class Robot:
         if link == self.tip:
             return self
         if link not in self.links:
-            raise RobotError(
-                f"{self.urdf.where}: {link!r} is not one of the links that the robot was loaded with: "
-                f"{', '.join(map(repr, self.links))}."
-            )
+            raise RobotError(f"{self.urdf.where}: {not_loaded(link, self.links)}.")
         return replace(self, tip=link, tip_joint=self.carrier(link))
 
     @checked

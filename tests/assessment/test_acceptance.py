@@ -411,7 +411,7 @@ def test_what_cannot_be_verified_is_said() -> None:
     with pytest.raises(MeasurementError, match="has no rows to verify by"):
         verify(u, seen(true, 5, 3).subset([]))
     other = replace(seen(true, 5, 3), tools=("ball",))
-    with pytest.raises(MeasurementError, match="the tool 'ball' was not identified; known are 'tool'"):
+    with pytest.raises(MeasurementError, match="there is no tool 'ball'; the calibrated one is 'tool'"):
         verify(u, other)
     known = u.known_uncertainty
     assert known.position is not None

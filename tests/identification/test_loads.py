@@ -290,13 +290,13 @@ def test_masses_that_nobody_states_do_not_follow_a_payload() -> None:
 
 
 def test_a_payload_on_a_link_that_is_not_there_is_refused() -> None:
-    with pytest.raises(RobotError, match="payload is on 'hand', which is not one of the links"):
+    with pytest.raises(RobotError, match="payload's link 'hand' is not one of the links"):
         load_robot(*UR10, payload=Payload(1.0, link="hand"))
     robot = load_robot(*UR10)
     data = rows(arm(np.random.default_rng(0)), robot, np.random.default_rng(0), 5, np.eye(4))
-    with pytest.raises(MeasurementError, match="payload is on 'hand'"):
+    with pytest.raises(MeasurementError, match="payload's link 'hand'"):
         data.carrying(robot, Payload(1.0, link="hand"))
-    with pytest.raises(RobotError, match="the payload is on 'hand', which is not one of the links"):
+    with pytest.raises(RobotError, match="the payload's link 'hand' is not one of the links"):
         load_robot(*UR10).with_loads({"wall": Load(payload=Payload(1.0, link="hand"))})
 
 

@@ -247,7 +247,7 @@ def test_a_machine_of_several_set_ups_is_the_same_after_a_file(cell: Cell, tmp_p
             a, b = (calib.judging.tool_uncertainty(m.at(setup), q, tool).covariance for m in (again, machine))
             np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-16)
     np.testing.assert_allclose(again.residuals(sets[1]), found.fit.residuals[1], atol=1e-9)
-    with pytest.raises(MeasurementError, match="the set-up 'far' was not identified; known are 'left', 'right'"):
+    with pytest.raises(MeasurementError, match="there is no set-up 'far'; the calibrated ones are 'left', 'right'"):
         again.residuals(cell.measure("far", 5))
 
 

@@ -97,7 +97,7 @@ def _load(robot: Robot, setup: str) -> dict[str, Node]:
     found: dict[str, Node] = {"gravity": list(map(float, load.gravity))}
     if (carried := load.payload) is not None:
         position = list(map(float, carried.position))
-        link = carried.link or (robot.links or (robot.tip,))[0]
+        link = carried.link or robot.links[0]
         found["payload"] = {"mass": float(carried.mass), "position": position, "link": link}
     return found
 

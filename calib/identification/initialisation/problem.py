@@ -16,7 +16,7 @@ from calib.foundations.ranges import (
     MOST_TARGETS,
     MOST_TOOLS,
 )
-from calib.foundations.words import counted
+from calib.foundations.words import counted, not_loaded
 from calib.identification import targets
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initialise, turned, turned_by
@@ -110,7 +110,7 @@ def with_common_names(model: ErrorModel, sets: Sequence[Measurements]) -> tuple[
         for end in data.ends:
             refuse_lacking(model.robot, end.conditions, data.where)
     sets = [replace(data.loaded(model.urdf_robot), tip=data.tip or model.robot.tip) for data in sets]
-    _refuse_unfollowed_payloads(model, sets)
+    _refuse_differing_payloads(model, sets)
     links = _common_links(sets)
     _refuse_other_optics(sets)
     for data in sets:
@@ -207,13 +207,10 @@ def _common_links(sets: Sequence[Measurements]) -> dict[str, str]:
 def _refuse_other_links(robot: Robot, data: Measurements) -> None:
     """Refuse rows about links that the robot does not have."""
     for link in sorted(data.links_about(robot) - set(robot.links)):
-        raise MeasurementError(
-            f"{data.where}: {link!r} is not one of the links that the robot was loaded with: "
-            f"{', '.join(map(repr, robot.links))}."
-        )
+        raise MeasurementError(f"{data.where}: {not_loaded(link, robot.links)}.")
 
 
-def _refuse_unfollowed_payloads(model: ErrorModel, sets: Sequence[Measurements]) -> None:
+def _refuse_differing_payloads(model: ErrorModel, sets: Sequence[Measurements]) -> None:
     """Refuse payloads that differ from row to row where a term takes all masses for the same and unknown."""
     blind = next((kind_of(term) for term in model.robot.terms if kind_of(term).masses == "unknown"), None)
     if blind is None:
