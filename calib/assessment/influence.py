@@ -30,7 +30,7 @@ ALONE = 1e-4
 # Effects that follow the rows are judged by the rows of so many targets.
 _MOST_TARGETS = 100
 # A scatter of a nanometre is rounding.
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,7 +242,7 @@ class Residue:
         """
         chosen = slice(None) if i is None else slice(i, i + 1)
         left = np.asarray(self.freedom[chosen].sum() - freedom, dtype=np.float64)
-        least = max((_ROUNDING / float(sigma.min())) ** 2 for sigma in self.sigma[chosen])
+        least = max((ROUNDING / float(sigma.min())) ** 2 for sigma in self.sigma[chosen])
         squares = self.squares[chosen].sum() - without
         share = np.divide(squares, left, out=np.full_like(left, np.nan), where=left > 0.0)
         return np.asarray(np.maximum(share, least))

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.assessment.influence import Residue
+from calib.assessment.influence import ROUNDING, Residue
 from calib.foundations.arrays import Array, BoolArray, IntArray
 from calib.foundations.sealing import sealed
 from calib.identification.parameters import scales
@@ -19,8 +19,6 @@ from calib.measurement.poses import poses_of
 _MOST_ROWS, _RUN = 6000, 100
 # Rows with times that are no farther apart, in s, are a motion.
 _STREAM = 1.0
-# A scatter of a nanometre is rounding.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +127,7 @@ def stretches(residue: Residue) -> tuple[Stretch, ...]:
                 data,
                 _taken_up(J, residue.C),
                 float(np.sqrt(np.mean((part.sigma / sigma[:, :, 0]) ** 2))),
-                (_ROUNDING / float(residue.sigma[i].min())) ** 2,
+                (ROUNDING / float(residue.sigma[i].min())) ** 2,
                 together,
                 tuple(told for told in fit.repeats if told.measurements == i),
             )

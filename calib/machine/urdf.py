@@ -17,8 +17,8 @@ from calib.robot.sampling import closing, joint_limits
 from calib.robot.urdf import UrdfJoint, parse_urdf
 from calib.robot.urdf_writer import splice_origins
 
-# Largest difference at the tip, in m and in entries of the rotation, between the machine and its URDF read back.
-_ROUNDING = 1e-9
+# Largest difference at the tip, in m and in entries of the rotation, between the machine and its file read back.
+ROUNDING_AT_TIP = 1e-9
 # At how many readings; where loops close is tried at so many more, and at hardly any they close by rounding alone.
 _COMPARED, _TRIED, _BY_ROUNDING = 20, 200, 0.1
 
@@ -69,7 +69,7 @@ def calibrated_urdf(robot: Robot, deviations: Deviations) -> bytes:
         float(np.abs(again.with_tip(link).tips(readings) - robot.with_tip(link).tips(readings, plain)).max(initial=0.0))
         for link in robot.links
     )
-    if not difference < _ROUNDING:
+    if not difference < ROUNDING_AT_TIP:
         raise OutputError(f"the calibrated URDF read back differs from the calibrated machine by {difference:.3g}.")
     return document
 

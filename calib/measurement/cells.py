@@ -12,6 +12,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.units import symbol_of
 
 LONGEST_LINE = 100_000
+MOST_COLUMNS = 1000
 _BLOCK = 1_000_000  # bytes; more than a line takes that is not too long
 _ARCHIVE = b"PK\x03\x04"
 # A member that every workbook has; the names of members are not packed.

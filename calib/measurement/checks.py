@@ -16,6 +16,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.units import DEG, MM
 from calib.foundations.words import counted, listed
 from calib.measurement.measurements import Measurements
+from calib.measurement.streams.joints import AT_REST
 from calib.measurement.streams.stream import OFFSET
 from calib.robot.robot import Reading, Robot
 from calib.robot.transmission import sided
@@ -33,8 +34,6 @@ _MANY = 0.1
 # Positions scatter by the robot's size: a factor of 1000 leaves more than a decade on both sides of these.
 _TOO_WIDE = 20.0
 _TOO_NARROW = 1e-3
-# An encoder at rest jitters by less; a motion so small (0.1 mrad, 0.1 mm) tells a fit nothing of its joint.
-_AT_REST = 1e-4
 # Below this much of motion (0.2 rad, 0.2 m) the positions of a sound table may be narrow.
 _IN_MOTION = 0.2
 _LISTED = 10
@@ -235,7 +234,7 @@ def _radians_as_degrees(m: Measurements, readings: Sequence[Reading]) -> Iterabl
 
 
 def _at_rest(m: Measurements) -> Iterable[Finding]:
-    still = np.flatnonzero(np.ptp(np.concatenate([end.readings for end in m.ends]), axis=0) <= _AT_REST)
+    still = np.flatnonzero(np.ptp(np.concatenate([end.readings for end in m.ends]), axis=0) <= AT_REST)
     if len(m) > 1 and still.size:
         names = ", ".join(repr(m.reading_names[j]) for j in still)
         yield Finding.warning("joint-at-rest", f"{m.where}: joints that never move: {names}.")

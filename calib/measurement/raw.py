@@ -12,7 +12,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.sealing import sealed
 from calib.foundations.units import UNITS, symbol_of
 from calib.foundations.words import shown
-from calib.measurement.cells import beginning, cells, in_bytes, lines, refuse_ragged, to_import
+from calib.measurement.cells import MOST_COLUMNS, beginning, cells, in_bytes, lines, refuse_ragged, to_import
 from calib.measurement.formats import pairs
 from calib.measurement.formats.logs import is_motive
 from calib.measurement.formats.reports import of_report
@@ -21,7 +21,6 @@ from calib.measurement.layout import Layout, is_number, is_number_of_name, layou
 
 # Enough to tell a unit from another; a table may have a million rows.
 _MOST_ROWS = 400
-_MOST_COLUMNS = 1000
 # A unit that we do not know; numbers in brackets are none.
 _BRACKETED = re.compile(r"\[\s*[^\W\d][^\[\]]*\]$")
 
@@ -112,8 +111,8 @@ def of_lists(where: str) -> MeasurementError:
 
 def _whole(data: bytes, where: str) -> RawTable:
     form = layout(data, where)
-    if len(form.titles) > _MOST_COLUMNS:
-        raise MeasurementError(f"{where}:{form.line}: has {len(form.titles)} columns; allowed are {_MOST_COLUMNS}.")
+    if len(form.titles) > MOST_COLUMNS:
+        raise MeasurementError(f"{where}:{form.line}: has {len(form.titles)} columns; allowed are {MOST_COLUMNS}.")
     if again := next((name for name, times in Counter(form.names).items() if times > 1), None):
         raise MeasurementError(
             f"{where}:{form.line}: several columns are called {shown(again)}; {to_import(where)} -o table.csv tells "

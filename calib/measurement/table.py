@@ -27,7 +27,7 @@ from calib.foundations.ranges import OF_DIMENSION, SMALLEST_CELL
 from calib.foundations.sealing import sealed
 from calib.foundations.units import NO_NUMBER, NUMBER, UNITS, Unit, symbol_of
 from calib.foundations.words import near, shortened, shown
-from calib.measurement.cells import Line, cells, in_bytes, lines, refuse_ragged
+from calib.measurement.cells import MOST_COLUMNS, Line, cells, in_bytes, lines, refuse_ragged
 from calib.measurement.layout import is_number_of_name, layout, name_and_unit, nameless, with_units
 from calib.measurement.orientations import ANGLES, MATRIX, quaternions_of
 
@@ -45,7 +45,6 @@ UNITLESS = frozenset((*QUATERNION_COLUMNS, *MATRIX))
 _OF_COMMANDS = ("reached", "reason")
 NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
-_MOST_COLUMNS = 1000
 _LONGEST_WORD = 200
 # Python writes no whole number of more than some thousands of digits.
 _MOST_BITS = 1024
@@ -375,8 +374,8 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
     ours = {theirs: name for name, theirs in columns.names.items()}
     if len(ours) < len(columns.names):
         raise HeaderError(f"{at}: the renaming gives one column two names: {dict(columns.names)}.")
-    if len(titles) > _MOST_COLUMNS:
-        raise HeaderError(f"{at}: has {len(titles)} columns; allowed are {_MOST_COLUMNS}.")
+    if len(titles) > MOST_COLUMNS:
+        raise HeaderError(f"{at}: has {len(titles)} columns; allowed are {MOST_COLUMNS}.")
     left = Counter(columns.ignore)
     header: list[_Heading] = []
     names: set[str] = set()

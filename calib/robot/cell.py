@@ -15,10 +15,8 @@ from calib.foundations.arrays import Array
 from calib.foundations.errors import JobError, OutputError
 from calib.foundations.xml_text import quoted
 from calib.robot.urdf import Urdf, UrdfJoint, parse_urdf, read_document
-from calib.robot.urdf_writer import ATTRIBUTE, START_TAG, codec_of, encoded_like, origin_text
+from calib.robot.urdf_writer import ATTRIBUTE, ORIGIN_ROUNDING, START_TAG, codec_of, encoded_like, origin_text
 
-# Largest difference of a placement read back, in metres and in entries of the rotation: rounding of rpy, no more.
-_ROUNDING = 1e-12
 _PASSED_OVER = r"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>"
 _TAG = re.compile(rf"{_PASSED_OVER}|(?P<tag>{START_TAG.pattern})", re.ASCII | re.DOTALL)
 _DECLARED = re.compile(r"""<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]+)""", re.ASCII)
@@ -159,7 +157,7 @@ def _check(
         _same(a, b, links, joints) for a, b in zip(second.joints, cell.joints[n + 1 :], strict=True)
     )
     error = float(np.abs(cell.joints[n].origin - placement).max())
-    if not (same and error < _ROUNDING):
+    if not (same and error < ORIGIN_ROUNDING):
         raise OutputError(f"the cell reads back otherwise, its placement off by {error:.1e}; this is a bug.")
 
 

@@ -19,7 +19,7 @@ from calib.foundations.xml_text import Element
 from calib.robot.urdf import LARGEST_NUMBER, Urdf, UrdfJoint, parse_urdf, read_document
 
 # Largest difference of a placement read back, in metres and in entries of the rotation: rounding of rpy, no more.
-_ROUNDING = 1e-12
+ORIGIN_ROUNDING = 1e-12
 
 # These read tags that expat has accepted, so they have to find things, not to judge them.
 START_TAG = re.compile(r"""<[^\s/>]+(?P<attributes>(?:\s+[^\s=/>]+\s*=\s*(?:"[^"]*"|'[^']*'))*)""", re.ASCII)
@@ -146,7 +146,7 @@ def _check(before: Urdf, spliced: bytes, origins: Mapping[str, Array]) -> None:
         raise OutputError(f"{before.where}: with the new origins its links are different; this is a bug.")
     for old, new in zip(before.joints, after.joints, strict=True):
         asked = origins.get(old.name, old.origin)
-        tolerance = _ROUNDING if old.name in origins else 0.0
+        tolerance = ORIGIN_ROUNDING if old.name in origins else 0.0
         error = float(np.abs(new.origin - asked).max())
         if not (_same_otherwise(old, new) and error <= tolerance):
             raise OutputError(

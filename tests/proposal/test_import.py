@@ -819,7 +819,7 @@ def test_what_is_too_wide_is_refused_and_not_cut(folder: Path, monkeypatch: pyte
     for name in ("a.xlsx", "a.csv"):
         with pytest.raises(calib.MeasurementError, match=rf"^{name}: has (more than 1000|1001) columns"):
             read_sheet(name)
-    monkeypatch.setattr(workbook, "_MOST_COLUMNS", 2000)
+    monkeypatch.setattr(workbook, "MOST_COLUMNS", 2000)
     monkeypatch.setattr(workbook, "_MOST_VALUES", 1500)
     with pytest.raises(calib.MeasurementError, match=r"^a.xlsx: has more than 1500 cells\.$"):
         read_sheet("a.xlsx")

@@ -12,7 +12,7 @@ from calib.foundations.brief import brief
 from calib.foundations.errors import OutputError
 from calib.machine.calibrated import CalibratedMachine
 from calib.machine.identified import usual_conditions
-from calib.machine.urdf import lost_in_urdf
+from calib.machine.urdf import ROUNDING_AT_TIP, lost_in_urdf
 from calib.robot.sampling import random_readings
 
 Part = Literal[
@@ -25,8 +25,6 @@ Part = Literal[
 ]
 
 _POSES = 500
-# Largest difference at the tip, in m and in entries of the rotation, between the file read back and what it should say.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +113,7 @@ def judged_export(
     readings = judged_readings(model)
     tips = read_back(readings)
     difference = float(np.max(np.abs(tips - expected)))
-    if not difference < _ROUNDING:
+    if not difference < ROUNDING_AT_TIP:
         raise OutputError(f"the file read back differs from the calibrated machine by {difference:.3g}.")
     whole = whole_positions(model, readings)
     nominal = model.robot.tips(readings, model.robot.no_deviations())[:, :3, 3]

@@ -21,12 +21,11 @@ from calib.foundations import rigid
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
 from calib.foundations.words import counted, listed, noun, shown
-from calib.measurement.cells import Rows
+from calib.measurement.cells import MOST_COLUMNS, Rows
 from calib.measurement.layout import of_list, refuse_long_name
 
 # Of the archive unpacked.
 _LARGEST = 200_000_000
-_MOST_COLUMNS = 1000
 # A megabyte of zeros unpacks to all that is allowed above, and each of them becomes a word.
 _MOST_VALUES = 4_000_000
 # Of one pose: a matrix of 4 by 4, and a quaternion.
@@ -243,8 +242,8 @@ def _as_columns(arrays: Mapping[str, npt.NDArray[np.generic]], names: Sequence[s
     rows = max(counts, key=lambda count: (counts[count], count))
     taken = {name: array for name, array in arrays.items() if len(array) == rows}
     width = sum(array.size // rows for array in taken.values())
-    if width > _MOST_COLUMNS:
-        raise MeasurementError(f"{where}: has {width} columns; allowed are {_MOST_COLUMNS}.")
+    if width > MOST_COLUMNS:
+        raise MeasurementError(f"{where}: has {width} columns; allowed are {MOST_COLUMNS}.")
     if width * rows > _MOST_VALUES:
         raise MeasurementError(f"{where}: has {width * rows} values; allowed are {_MOST_VALUES}.")
     for name in taken:

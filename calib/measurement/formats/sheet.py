@@ -11,12 +11,11 @@ from calib.foundations.csv_text import csv_text
 from calib.foundations.errors import MeasurementError
 from calib.foundations.files import read_bytes
 from calib.foundations.words import counted, listed, shown
-from calib.measurement.cells import Rows, beginning, cells, in_bytes, lines, refuse_ragged
+from calib.measurement.cells import MOST_COLUMNS, Rows, beginning, cells, in_bytes, lines, refuse_ragged
 from calib.measurement.formats import arrays, logs, matrices, pairs, records, statements, workbook
 from calib.measurement.formats.reports import of_report
 from calib.measurement.layout import is_number, layout, name_and_unit, with_point, with_units
 
-_MOST_COLUMNS = 1000
 # Files other than plain tables are held as cells of text: some hundred bytes each.
 _LARGEST = 200_000_000
 # Of what comes of cells in several columns or rows, or one for each byte where that is more.
@@ -105,8 +104,8 @@ def most_values(size: int) -> int:
 
 
 def _checked(sheet: Sheet, data: bytes) -> Sheet:
-    if len(sheet.titles) > _MOST_COLUMNS:
-        raise MeasurementError(f"{sheet.where}: has {len(sheet.titles)} columns; allowed are {_MOST_COLUMNS}.")
+    if len(sheet.titles) > MOST_COLUMNS:
+        raise MeasurementError(f"{sheet.where}: has {len(sheet.titles)} columns; allowed are {MOST_COLUMNS}.")
     titles = _told_apart(sheet.titles)
     again = {new: _bare(title) for new, title in zip(titles, sheet.titles, strict=True) if new != title}
     said = (f"columns of one title are numbered: {listed(again)}",) if again else ()

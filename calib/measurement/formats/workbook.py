@@ -13,7 +13,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.files import DAMAGED
 from calib.foundations.lazy import needed
 from calib.foundations.words import counted, listed, shown
-from calib.measurement.cells import Rows
+from calib.measurement.cells import MOST_COLUMNS, Rows
 from calib.measurement.layout import header_of, is_number, refuse_two_units, units_of, with_point, with_units
 
 # Of the archive unpacked; a workbook of a million cells has some 50 MB.
@@ -26,7 +26,7 @@ _MOST_TAGS_PER_BYTE, _LEAST_TAGS = 4, 500_000
 _TAG = re.compile(rb"<(?:\w+:)?\w")
 _PLAIN_TAG = re.compile(rb"<(?:\w+:)?(?:c|f|row|t|v)[\s/>]")
 _LEAST_OBJECTS, _BYTES_OF_AN_OBJECT = 250_000, 4
-_MOST_ROWS, _MOST_COLUMNS, _MOST_VALUES = 200_000, 1000, 5_000_000
+_MOST_ROWS, _MOST_VALUES = 200_000, 5_000_000
 # The last row that a workbook can have; the rows before one are walked through, be they there or not.
 _LAST_ROW = 1_048_576
 # The reader of XML begins a tag or a comment again for every piece of it that comes.
@@ -228,9 +228,9 @@ def _rows(sheet: Any, where: str) -> tuple[list[list[str]], int]:
             filled += below.fill(cells, number)
             rows.append(cells)
             width = max(width, len(cells))
-        if width > _MOST_COLUMNS:
+        if width > MOST_COLUMNS:
             raise MeasurementError(
-                f"{where}: has more than {_MOST_COLUMNS} columns: the last cell of row {number} is in column {width}."
+                f"{where}: has more than {MOST_COLUMNS} columns: the last cell of row {number} is in column {width}."
             )
         if len(rows) > _MOST_ROWS:
             raise MeasurementError(f"{where}: has more than {_MOST_ROWS} rows.")
@@ -253,7 +253,7 @@ class _Below:
         with sheet._get_source() as part:
             for column, first, last in _MERGED.findall(part.read().replace(b"\0", b"")):
                 k = functools.reduce(lambda k, letter: 26 * k + letter - ord("A") + 1, column, 0) - 1
-                if int(last) > int(first) and k < _MOST_COLUMNS:
+                if int(last) > int(first) and k < MOST_COLUMNS:
                     starts.setdefault(int(first), []).append((k, int(last)))
         return cls(starts)
 

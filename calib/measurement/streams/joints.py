@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 # Accelerations are means over so much, in s, to both sides: a motion of 1 Hz loses 1 %, and encoders that jitter by
 # 1e-5 rad bring 0.01 rad/s^2.
 SPAN = 0.05
+# An encoder at rest jitters by less, in rad or m; a motion so small tells a fit nothing of its joint.
+AT_REST = 1e-4
 # From half of the samples, over twice as much, they differ by this share at most: by a motion of 3 Hz, or by noise.
 _ALIKE = 0.2
 # A joint that moves more slowly, in rad/s or m/s, does not show how late it is.

@@ -11,7 +11,7 @@ from calib.foundations.errors import MeasurementError
 from calib.foundations.units import Dimension
 from calib.measurement.columns import filled, numbers, refuse_unknown, require, stacked
 from calib.measurement.from_table import ALL_READ, Joints
-from calib.measurement.streams.joints import JointStream, following
+from calib.measurement.streams.joints import AT_REST, JointStream, following
 from calib.measurement.table import APPROACH, COMMANDED, TORQUE, Table
 from calib.robot.robot import Reading
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 SLOWEST, FASTEST = 1.0, 1e-4
 # Steps between times that are differences of large numbers.
 _ROUNDING = 1e-3
-# Encoders at rest jitter by less, in rad or m.
-_AT_REST = 1e-4
 # Rows of which half follow in so small a part of their mean distance were sent many at once.
 _BURST = 20.0
 # Gaps from so many steps of a stream on are not bridged: one lost sample is. In s, at the least and at the most.
@@ -70,9 +68,9 @@ def joint_stream(
     asked = stacked(table, {f"{COMMANDED}{name}": dimension for name, dimension in told.items()})
     times, values, asked = times[keep], values[keep], asked[keep]
     refuse_no_stream(times, table.where)
-    if np.ptp(values, axis=0).max(initial=0.0) <= _AT_REST:
+    if np.ptp(values, axis=0).max(initial=0.0) <= AT_REST:
         raise MeasurementError(
-            f"{table.where}: no joint moves by more than {_AT_REST:g} rad or m; a clock shows only while the arm moves."
+            f"{table.where}: no joint moves by more than {AT_REST:g} rad or m; a clock shows only while the arm moves."
         )
     gap = not_bridged(times, gap)
     ends = np.flatnonzero(np.diff(times) >= gap)
