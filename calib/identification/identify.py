@@ -76,7 +76,16 @@ def identify(
     IdentificationError when the rows are too few or when there is a null space under "refuse".
     """
     with one_thread():
-        return _identify(model, measurements, free, start, null_space, model_sigmas, losses, spent=spent)
+        return _identify(
+            model,
+            measurements,
+            free=free,
+            begin=start,
+            null_space=null_space,
+            model_sigmas=model_sigmas,
+            losses=losses,
+            spent=spent,
+        )
 
 
 def _holding(fit: Fit, start: Fit, every: Sequence[Parameter]) -> Fit:
@@ -123,12 +132,10 @@ def identify_alike(
         return _identify(
             model,
             measurements,
-            free,
-            start,
-            "nearest",
-            None,
-            fit.losses,
-            kept,
+            free=free,
+            begin=start,
+            losses=fit.losses,
+            together=kept,
             placed=None if placed is None else (placed, fit),
         )
 
@@ -148,22 +155,27 @@ def identify_near(
     are in ``fit``, which has all of them and was begun there itself; the search goes on from its values.
     """
     with one_thread():
-        return _identify(model, measurements, None, None, "nearest", model_sigmas, losses, near=fit, spent=spent)
+        return _identify(model, measurements, model_sigmas=model_sigmas, losses=losses, near=fit, spent=spent)
 
 
 def _identify(
     model: ErrorModel,
     measurements: Measurements | Sequence[Measurements],
-    free: Collection[str] | None,
-    begin: Fit | None,
-    null_space: NullSpacePolicy,
-    model_sigmas: Sequence[float | None] | None,
-    losses: Sequence[Loss] | None,
+    *,
+    free: Collection[str] | None = None,
+    begin: Fit | None = None,
+    null_space: NullSpacePolicy = "nearest",
+    model_sigmas: Sequence[float | None] | None = None,
+    losses: Sequence[Loss] | None = None,
+    spent: Sequence[float] | None = None,
     together: tuple[Together | None, ...] | None = None,
     near: Fit | None = None,
     placed: tuple[Placed, Fit] | None = None,
-    spent: Sequence[float] | None = None,
 ) -> Fit:
+    """Identify as :func:`identify`, from ``begin``; ``together`` and ``placed`` as in :func:`identify_alike`.
+
+    ``near``: the fit of :func:`identify_near`.
+    """
     refuse_other(null_space, ("nearest", "minimal", "refuse"), "null_space")
     whole = initial_problem(model, as_sets(measurements))
     sets, parameters = whole.measurements, matching(whole.parameters, free)
