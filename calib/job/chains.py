@@ -7,11 +7,10 @@ from pathlib import Path
 
 from calib.foundations.errors import RobotError
 from calib.foundations.words import counted
-from calib.robot.urdf import MOST_JOINTS, Urdf, UrdfJoint, read_urdf
+from calib.robot.urdf import MOST_JOINTS, MOVING, Urdf, UrdfJoint, read_urdf
 
 # Links of the same joints differ by where the tool is; what is usually meant by the tip, first.
 _TIPS = ("tool0", "flange", "tcp", "end_effector", "tip", "tool", "ee", "hand")
-_MOVES = ("revolute", "continuous", "prismatic")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +46,7 @@ def chains(document: Urdf, tip: str | None = None) -> tuple[Chain, ...]:
         if len(path) > MOST_JOINTS:
             too_far = too_far or link
             continue
-        moving = [joint for joint in reversed(path) if joint.type in _MOVES]
+        moving = [joint for joint in reversed(path) if joint.type in MOVING]
         names = tuple(dict.fromkeys(drivers[joint.name] for joint in moving))
         if names:
             found.setdefault((base, names), []).append(link)

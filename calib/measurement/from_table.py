@@ -36,11 +36,10 @@ from calib.measurement.projection import undistort
 from calib.measurement.scalars import Scalar
 from calib.measurement.table import Table
 from calib.robot.robot import Reading, Robot
+from calib.robot.urdf import MOVING
 
 # Of a coordinate, in m; of poses also a pair, in m and rad. None: not known here.
 Sigma = float | tuple[float | None, float | None] | None
-# Joints of a URDF that take a reading.
-MOVING = ("revolute", "continuous", "prismatic")
 
 
 class Joints(NamedTuple):

@@ -58,10 +58,10 @@ class Measurements:
     ``pixels`` have u and v in px, then where the mark is on its board (x, y, z).
     ``sigma`` (N, d), with d numbers in a row's residual: the instrument's standard deviations, 0 where unknown, to be
     estimated from the residuals.
-    ``tool`` (N): which of ``tools``, the tools on the tip link that were measured, in order of appearance. ``setup``
-    (N): which of ``setups``, the places where the robot's base stood. ``target``
-    (N): which of ``targets``, the sockets, anchors, planes, balls, or what is on the floor of camera and board; -1 in
-    kinds that have none.
+    ``tool`` (N): which of ``tools``, the tools on the tip link that were measured, in order of appearance.
+    ``setup`` (N): which of ``setups``, the places where the robot's base stood.
+    ``target`` (N): which of ``targets``, the sockets, anchors, planes, balls, or what is on the floor of camera and
+    board; -1 in kinds that have none.
     ``other``: the second end of a ``pair_distance``. ``uses``: which of ``scalars``, unknown numbers beside poses, the
     rows depend on, by what it is to them: the ``offset`` of lengths, the ``radius`` of a ball.
     ``group``: N words, None where the table has no such column.

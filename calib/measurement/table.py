@@ -385,7 +385,7 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
     for k, title in enumerate(_named_by_place(titles, {*left, *ours})):
         try:
             name, symbol = _split(title, (*left, *ours))
-            symbol = symbol or (units[k] if units else "") or symbol
+            symbol = symbol or (units[k] if units else None) or None
             if title.strip() in left or name in left:
                 left -= Counter([title.strip() if title.strip() in left else name])
                 header.append(_Heading(name, None, name, read=False))

@@ -137,7 +137,8 @@ def circle_axis(
     given, run the positive way. ``sigma``: standard deviation of a coordinate in m; None estimates it from the
     residuals, and is nan where no point is to spare.
 
-    Raises IdentificationError when the points do not determine an axis, such as points on a line.
+    Raises IdentificationError when the points do not determine an axis, such as points on a line; MeasurementError for
+    points, marks or readings that are not as many, or not finite; JobError for a sigma out of range.
     """
     x, mark, q = _checked(points, marks, angles, sigma)
     n = int(mark.max()) + 1
@@ -188,7 +189,7 @@ def line_axis(
     ``travels`` (N,): readings of the joint in m; without them the axis points so that each mark's points, in the order
     given, run the positive way. ``sigma``: as in :func:`circle_axis`.
 
-    Raises IdentificationError when the points do not determine a direction.
+    Raises IdentificationError when the points do not determine a direction; else as :func:`circle_axis`.
     """
     x, mark, q = _checked(points, marks, travels, sigma)
     d = x - _means(x, mark)[mark]

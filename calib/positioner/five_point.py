@@ -24,7 +24,7 @@ from calib.measurement.checks import Finding
 from calib.measurement.columns import stacked
 from calib.measurement.table import Table, read_table
 from calib.positioner.axes import expected_circle_error
-from calib.positioner.machine import revolute_robot
+from calib.positioner.machine import robot_of_joints
 from calib.robot.robot import Robot
 
 # Which of the five a row is, by the senses of its tilt and its rotary turn.
@@ -138,7 +138,7 @@ class FivePoint:
     @checked
     def robot(self, names: tuple[str, str] = ("tilt", "rotary")) -> Robot:
         """Return the positioner as a URDF machine, in whose nominal geometry these axes are; its tip is the table."""
-        return revolute_robot([("revolute", self.B_P), ("revolute", self.B_R)], names)
+        return robot_of_joints([("revolute", self.B_P), ("revolute", self.B_R)], names)
 
 
 @checked
@@ -170,8 +170,8 @@ def five_point(
     a coordinate in m, for that, and for the expected errors that findings tell: of turns below 60 deg, radii below 100
     mm, and three points almost on a line.
 
-    Raises MeasurementError when points are swapped or not where their angles say, IdentificationError when three points
-    lie on a line.
+    Raises MeasurementError when points are no points, swapped or not where their angles say, IdentificationError when
+    three points lie on a line, JobError when there are not four angles, and for a sigma out of range.
     """
     P = np.stack([_point(p, f"P{i + 1}") for i, p in enumerate((P1, P2, P3, P4, P5))])
     if angles is not None and (len(angles) != 4 or not np.isfinite(angles).all()):

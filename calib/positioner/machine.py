@@ -40,11 +40,11 @@ def axes_robot(axes: Sequence[Axis], names: Sequence[str]) -> Robot:
     for axis in axes:
         R = np.column_stack([axis.across, axis.direction])
         placed.append((axis.kind, rigid.placement(R, axis.point)))
-    return revolute_robot(placed, names)
+    return robot_of_joints(placed, names)
 
 
-def revolute_robot(placed: Sequence[tuple[str, Array]], names: Sequence[str]) -> Robot:
-    """Return the machine whose joints stand at placements (4, 4) in the base, all of readings zero, along z."""
+def robot_of_joints(placed: Sequence[tuple[str, Array]], names: Sequence[str]) -> Robot:
+    """Return the machine whose joints, each of a kind, have their z axes at placements (4, 4) in the base at zero."""
     links = ["base", *(f"{name}_carrier" for name in names[:-1]), "table"]
     lines = [f"<link name={quoted(link)}/>" for link in links]
     carrier = np.eye(4)
@@ -106,7 +106,7 @@ def table_points(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Arra
 
     ``points`` (N, 3) or (3,): where they are, in m, while all axes read zero. ``angles``: readings in rad and m.
     """
-    x, q = _envelope(fit, points, angles)
+    x, q = _checked(fit, points, angles)
     rows = np.concatenate([q, np.zeros_like(q[:1])])
     T = fit.machine.frames.base @ fit.model.robot.tips(rows, fit.machine.deviations, ordinary(rows))
     moved = T[:-1] @ rigid.inverse(T[-1])
@@ -121,7 +121,7 @@ def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Table
     carried along by the axes, and the fit's covariance goes with it. What counts is thus how the axes lie and not where
     the marks are. The same convention as in the table of expected errors, docs/positioner.md.
     """
-    x, q = _envelope(fit, points, angles)
+    x, q = _checked(fit, points, angles)
     rows = np.concatenate([q, np.zeros_like(q[:1])])
     machine = machine_of(fit)
     (tool,) = list(machine.tools)[:1]
@@ -142,7 +142,7 @@ def table_error(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> Table
     return TableError(read_only(covariances), rms, largest, fit.rank - fit.numerical_rank)
 
 
-def _envelope(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> tuple[Array, Array]:
+def _checked(fit: Fit, points: npt.ArrayLike, angles: npt.ArrayLike) -> tuple[Array, Array]:
     q = np.asarray(angles, dtype=np.float64)
     if q.ndim != 2 or q.shape[1] != len(fit.model.robot.readings) or not are_numbers(q):
         names = ", ".join(reading.name for reading in fit.model.robot.readings)

@@ -25,8 +25,9 @@ def data_frame(fit: Fit, what: What = "parameters") -> "DataFrame":
 
     ``parameters``: a row for each, by name: value, unit, sigma (nan where not identifiable), prior, identifiable,
     weakly_determined. ``residuals``: a row for each measured one: file, line, tool, and measured minus predicted of
-    every coordinate, before and after, in m and rad. ``correlations``: square, by names. Raises JobError for another
-    word, OutputError where pandas is missing.
+    every coordinate, before and after, in m and rad, or px. ``correlations``: square, by names.
+
+    Raises JobError for another word, OutputError where pandas is missing.
     """
     refuse_other(what, get_args(What), "what")
     with needed(OutputError, "A DataFrame needs pandas", "; install it"):

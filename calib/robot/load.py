@@ -18,7 +18,7 @@ from calib.robot import deviation
 from calib.robot.gravity import STANDARD_GRAVITY, Load, Payload, checked_gravity, checked_payload
 from calib.robot.loops import Loop
 from calib.robot.robot import ChainJoint, ClosedLoop, Coupling, Reading, Robot
-from calib.robot.urdf import MOST_JOINTS, Urdf, UrdfJoint, read_urdf
+from calib.robot.urdf import MOST_JOINTS, MOVING, Urdf, UrdfJoint, read_urdf
 
 # As of all numbers in a URDF.
 _LARGEST_MULTIPLE = 1e6
@@ -286,7 +286,7 @@ def _couple(
             multiples.clear()
         for name in multiples:
             driver = document.joint(name)
-            if driver.type not in ("revolute", "continuous", "prismatic"):
+            if driver.type not in MOVING:
                 raise RobotError(
                     f"{document.where}:{joint.line}: joint {joint.name!r} follows {name!r}, which is {driver.type} "
                     "and has no reading."

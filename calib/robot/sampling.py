@@ -12,12 +12,11 @@ from calib.robot.conditions import ordinary
 from calib.robot.robot import Deviations, Reading, Robot, TipModel
 from calib.robot.urdf import UrdfJoint
 
-# What a person waits for, and a memory holds.
 # Hardly any pose: fewer than one in so many, when so many were tried.
 _RARELY = 200
 _ENOUGH = 1000
-# Machines that differ by their errors differ in the determinant of closure as well; where joints
-# stood still, all rows have the least one.
+# Machines that differ by their errors differ in the determinant of closure as well; where joints stood still, all rows
+# have the least one.
 _SLACK = 0.9
 # Limits are written in degrees with few digits; this is what rounding takes.
 _LIMIT_SLACK = 1e-9

@@ -30,8 +30,8 @@ from calib.robot.sources import resolve
 
 JointType = Literal["revolute", "continuous", "prismatic", "fixed", "floating", "planar"]
 
-# Joints with one position, a number: they have an axis, may mimic and may be mimicked.
-_ONE_POSITION = ("revolute", "continuous", "prismatic")
+# Joints with one position, a number, which a reading tells: they have an axis, may mimic and may be mimicked.
+MOVING = ("revolute", "continuous", "prismatic")
 
 # Fifty times the largest URDF we know; bounds time and memory on any input.
 LARGEST_URDF = 10_000_000
@@ -239,7 +239,7 @@ def _joint(name: str, element: Element, where: str) -> UrdfJoint:
         if tag not in parts:
             raise RobotError(f"{at} has no <{tag}>.")
         ends[tag] = _required(parts[tag][0], "link", f"{parts[tag][1]}: <{tag}>")
-    one_position = type_ in _ONE_POSITION
+    one_position = type_ in MOVING
     lower, upper = _limits(*parts["limit"]) if type_ in ("revolute", "prismatic") and "limit" in parts else (None, None)
     return UrdfJoint(
         name=name,
@@ -412,7 +412,7 @@ def _check_mimics(joints: tuple[UrdfJoint, ...], where: str) -> None:
             raise RobotError(f"{at} {shown(wanted)}, which does not exist{_hint(wanted, by_name)}")
         if driver is joint:
             raise RobotError(f"{at} itself.")
-        if driver.type not in _ONE_POSITION:
+        if driver.type not in MOVING:
             raise RobotError(f"{at} {shown(driver.name)}, which is {driver.type} and has no position to follow.")
         followed[joint.name] = driver.name
     if loop := _cycle(followed):

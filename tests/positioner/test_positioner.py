@@ -350,7 +350,7 @@ def test_what_the_points_hardly_see_is_told() -> None:
     assert held == [0, 1]
 
 
-def test_bad_envelope_is_refused() -> None:
+def test_bad_points_and_angles_are_refused() -> None:
     robot = load(positioners.nominal(TWO_AXES), "table")
     fit = calib.identify(positioner.axes_model(robot), TWO_AXES.touch(robot, TWENTY, [MARK]))
     with pytest.raises(calib.MeasurementError, match=r"angles: must be finite numbers \(N, 2\), of tilt, rotary"):
