@@ -401,8 +401,6 @@ def _header(titles: Sequence[str], columns: Columns, at: str, units: Sequence[st
             if name in names:
                 raise HeaderError(f"column {name!r} appears more than once")
             names.add(name)
-            if name == "point":
-                raise MeasurementError(f"{at}: the column 'point' is called 'tool' now; rename it.")
             if not symbol and name in _OF_COMMANDS:
                 commands.append(name)
             elif not symbol and not (holds_words(name) or name in UNITLESS):

@@ -211,13 +211,6 @@ def test_a_fixed_base_needs_a_pose_in_every_set_up(folder: Path) -> None:
     assert "job.toml: setups: the pose of the base in 'right' is missing, and the base is fixed." in said.err
 
 
-def test_the_old_name_of_the_column_is_told(folder: Path) -> None:
-    text = (folder / "both.csv").read_text(encoding="utf-8").replace(",tool", ",point", 1)
-    (folder / "old.csv").write_text(text, encoding="utf-8")
-    job, out = said_of(folder, table("old"))
-    assert "old.csv:1: the column 'point' is called 'tool' now; rename it." in run("calibrate", job, "-o", out).err
-
-
 LEVELS = """
 harmonics = ["elbow_joint"]
 [[levels]]

@@ -262,6 +262,7 @@ def test_renaming_is_refused(columns: dict[str, str], sentence: str) -> None:
         ),
         ("x\n1\n", ":1: column 'x' has no unit; write one in brackets, like 'x [mm]' or '[deg]'."),
         ("time\n1\n", ":1: column 'time' has no unit; write one in brackets, like 'time [s]' or '[ms]'."),
+        ("point\n1\n", ":1: column 'point' has no unit; write one in brackets, like 'point [mm]' or '[deg]'."),
         ("x []\n1\n", ":1: column 'x' has no unit; write one in brackets, like 'x [mm]' or '[deg]'."),
         ("x [foot]\n1\n", f":1: column 'x': unit 'foot' is not known; allowed are {ALLOWED}."),
         ("tool [mm]\na\n", ":1: column 'tool' holds words and takes no unit, but has [mm]."),
