@@ -15,7 +15,17 @@ from typing import Any
 from calib_start import loading
 
 with loading():
-    from calib.app.folder import JOB, MADE, PHOTOGRAPHS, RESULT, RESULTS, gather, refuse_links, refuse_other_files
+    from calib.app.folder import (
+        JOB,
+        MADE,
+        PHOTOGRAPHS,
+        RESULT,
+        RESULTS,
+        TEXTS,
+        gather,
+        refuse_links,
+        refuse_other_files,
+    )
     from calib.foundations.errors import LITTLE_MEMORY, CalibError, JobError, OutputError
     from calib.foundations.files import read_bytes, sentences, write_atomically
     from calib.foundations.words import shown
@@ -33,8 +43,6 @@ with loading():
     from calib.presentation.console import Steps
     from calib.robot.sources import EXAMPLE, mesh_uris
 
-# Tables of text, which are read as they are; others become one first.
-_TEXT = (".csv", ".tsv", ".txt", ".dat", ".asc", ".log")
 _TOUCHED, _OF_POINTS, _MARKS, _FLANGE = "touched.csv", "{}_rows.csv", "marks.csv", "flange.urdf"
 _SHOWN_VALUES = 3
 
@@ -139,7 +147,7 @@ def _as_texts(names: Sequence[str]) -> list[str]:
     texts = {
         name
         for name in names
-        if name.lower().endswith(_TEXT) and not becomes_table(read_bytes(Path(name), JobError), name)
+        if name.lower().endswith(TEXTS) and not becomes_table(read_bytes(Path(name), JobError), name)
     }
     own = [Path(name).stem.lower() for name in names if name not in texts]
     found = []

@@ -72,11 +72,13 @@ _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO)
 # Others are unpacked whole, however little is asked for.
 _BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
+# Tables of text, which are read as they are; others become one first.
+TEXTS = (".csv", ".tsv", ".txt", ".dat", ".asc", ".log")
 Kind = Literal["robot", "table", "photograph", "settings", "mesh", "archive"]
 _OTHERS: dict[Kind, tuple[str, ...]] = {
     "robot": (".urdf",),
     "table": (
-        *(".csv", ".tsv", ".txt", ".dat", ".asc", ".log"),
+        *TEXTS,
         *(".json", ".jsonl", ".ndjson", ".yaml", ".yml", ".xlsx", ".npz", ".mat"),
         *(".mod", ".prg", ".src", ".ls", ".script"),
     ),

@@ -16,6 +16,7 @@ from calib.app.folder import JOB, RESULT, SESSION, apart, chosen, is_there, kind
 from calib.foundations.errors import JobError, OutputError
 from calib.foundations.files import DAMAGED, LARGEST_JSON, read_inside, write_atomically
 from calib.foundations.words import shown
+from calib.measurement.cells import MOST_COLUMNS
 from calib.robot.sources import EXAMPLE
 
 UNKNOWN = "The page does not know this request."
@@ -25,7 +26,7 @@ _LONGEST_LINE = 50_000_000
 # How long a child that is to end may tidy up, in s.
 _PATIENCE = 5.0
 _ANSWERS = ("tip", "angles", "lengths", "orientation", "observes")
-_MOST_COLUMNS, _LONGEST_TEXT, _LONGEST_JOB = 1000, 500, 500_000
+_LONGEST_TEXT, _LONGEST_JOB = 500, 500_000
 _CAMERAS = ("tip", "floor")
 # As the system does where memory is short.
 _DIED = "The process that worked on this was killed; the memory may not suffice."
@@ -275,7 +276,7 @@ class Session:
             raise JobError(f"{shown(robot)}: is neither a dropped file nor an example.")
         columns = answers.get("columns", {})
         texts = [answers[key] for key in _ANSWERS if key in answers]
-        if not isinstance(columns, dict) or len(columns) > _MOST_COLUMNS:
+        if not isinstance(columns, dict) or len(columns) > MOST_COLUMNS:
             raise JobError(UNKNOWN)
         texts += [*columns, *columns.values()]
         if not all(isinstance(text, str) and len(text) <= _LONGEST_TEXT for text in texts):

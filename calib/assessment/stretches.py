@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.assessment.influence import ROUNDING, Residue
-from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.arrays import Array, BoolArray, IntArray, evenly_in_runs
 from calib.foundations.sealing import sealed
 from calib.identification.parameters import scales
 from calib.identification.repeats import Repeats, by_pose
@@ -268,8 +268,4 @@ def _chosen(data: Measurements, residue: Residue) -> IntArray:
         unknown = {parameter.name.rpartition(".")[0] for parameter in residue.fit.parameters}
         whole = np.array([f"target.{name}" in names or f"target.{name}" not in unknown for name in data.targets])
         rows = rows[whole[data.target]]
-    n = len(rows)
-    if n <= _MOST_ROWS:
-        return rows
-    starts = np.linspace(0, n - _RUN, _MOST_ROWS // _RUN).astype(np.intp)
-    return rows[np.unique(starts[:, None] + np.arange(_RUN))]
+    return rows[evenly_in_runs(len(rows), _MOST_ROWS, _RUN)]

@@ -46,6 +46,24 @@ def evenly(count: int, most: int) -> slice:
     return slice(None, None, max(1, -(-count // most)))
 
 
+def evenly_in_runs(count: int, most: int, run: int) -> IntArray:
+    """Return which of ``count`` things to take: all, or of more than ``most`` runs of neighbours, spread evenly."""
+    if count <= most:
+        return np.arange(count)
+    starts = np.linspace(0, count - run, most // run).astype(np.intp)
+    return np.unique(starts[:, None] + np.arange(run))
+
+
+def evenly_ranked(values: Array, most: int) -> IntArray:
+    """Return which of the values (N,) to take: all, or ``most`` spread evenly over their ranks, the largest among them.
+
+    They are in the order of the values.
+    """
+    if len(values) <= most:
+        return np.arange(len(values))
+    return np.sort(np.argsort(values)[np.linspace(0, len(values) - 1, most).round().astype(np.intp)])
+
+
 def number_in_kind(*kinds: IntArray) -> IntArray:
     """Return the number (N,) of every row among those before it that are alike in all ``kinds`` (N,) each."""
     order = np.lexsort(kinds)

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from calib.foundations.arrays import Array, IntArray
+from calib.foundations.arrays import Array, IntArray, evenly_in_runs
 from calib.foundations.brief import brief
 from calib.foundations.sealing import sealed
 from calib.identification.arrow import Covariance
@@ -89,7 +89,7 @@ def with_memory(
         data, pose = problem.measurements[component.measurements], poses[component.measurements]
         if not _in_time(data) and pose is None:
             continue
-        rows = _chosen(len(data))
+        rows = evenly_in_runs(len(data), _MOST_ROWS, _RUN)
         part = data.subset(rows)
         J = (
             _jacobian(problem, x, part, component, scaled)
@@ -131,14 +131,6 @@ def _poses(data: Measurements) -> IntArray | None:
         return None
     pose = poses_of(data)
     return pose if len(pose) and int(pose.max()) + 1 < len(pose) else None
-
-
-def _chosen(n: int) -> IntArray:
-    """Return the rows to look at: all, or runs of neighbours, spread evenly."""
-    if n <= _MOST_ROWS:
-        return np.arange(n)
-    starts = np.linspace(0, n - _RUN, _MOST_ROWS // _RUN).astype(np.intp)
-    return np.unique(starts[:, None] + np.arange(_RUN))
 
 
 def _jacobian(problem: Problem, x: Array, part: Measurements, component: Component, known: Covariance) -> Array:

@@ -18,7 +18,7 @@ from calib.foundations.sealing import sealed
 from calib.foundations.units import UNITS, Dimension
 from calib.machine.calibrated import CalibratedMachine
 from calib.measurement.checks import Finding, table_findings
-from calib.measurement.columns import stacked
+from calib.measurement.columns import POSITION, stacked
 from calib.measurement.conditions import conditions as conditions_of
 from calib.measurement.conditions import refuse_lacking
 from calib.measurement.from_table import Joints, measurements_from_table
@@ -27,7 +27,6 @@ from calib.measurement.table import APPROACH, AS_WRITTEN, TORQUE, Column, Column
 from calib.robot.conditions import NO_CONDITIONS, Conditions
 from calib.robot.robot import Robot
 
-_POSITION = ("x", "y", "z")
 # What makes sense of the checks for the arm's own readings; where it goes is not what is measured here.
 _OF_READINGS = ("beyond-limits", "degrees-as-radians", "radians-as-degrees")
 
@@ -37,7 +36,9 @@ _OF_READINGS = ("beyond-limits", "degrees-as-radians", "radians-as-degrees")
 class TouchingArm:
     """A calibrated arm that touches. ``point`` (3,): its tool point on its tip link; ``sigma``: of a coordinate, in m.
 
-    arm = calib.measuring.TouchingArm(calib.load_machine("arm"), point, sigma=0.03e-3)
+        arm = calib.measuring.TouchingArm(calib.load_machine("arm"), point, sigma=0.03e-3)
+
+    Raises JobError when a number is out of range.
     """
 
     __repr__ = brief
@@ -103,7 +104,7 @@ def touched(
         raise MeasurementError(
             f"{table.where}: there is no column {listed} of the arm that touches; the columns are {there}."
         )
-    if given := [name for name in _POSITION if name in table.columns]:
+    if given := [name for name in POSITION if name in table.columns]:
         raise MeasurementError(
             f"{table.where}: column {given[0]!r} is there, and the instrument, an arm, gives it as well; keep one "
             "of them."
@@ -113,7 +114,7 @@ def touched(
     refuse_lacking(arm.machine.robot, conditions, table.where)
     with naming_rows(table.where, table.lines):
         points = arm.points(stacked(table, own), conditions)
-    position = {name: Column(name, UNITS["m"], read_only(points[:, k])) for k, name in enumerate(_POSITION)}
+    position = {name: Column(name, UNITS["m"], read_only(points[:, k])) for k, name in enumerate(POSITION)}
     arms = replace(table, columns={name: table.columns[name] for name in own} | position)
     by_arm = measurements_from_table(arms, arm.machine.robot.readings, "position")
     doubts = table_findings(by_arm, arm.machine.robot.readings, by_arm.reach(arm.machine.robot))

@@ -93,7 +93,8 @@ def is_comment(line: str) -> bool:
 def in_bytes(data: bytes, where: str) -> bytes:
     """Return a text in bytes of which a line end is one: UTF-16 with its mark as UTF-8, all else as it is.
 
-    Numbers that NumPy prints with their kind, as ``np.float64(0.5)``, are numbers.
+    Numbers that NumPy prints with their kind, as ``np.float64(0.5)``, are numbers. Raises MeasurementError for UTF-16
+    that is not whole.
     """
     if data.startswith(_UTF16_MARKS):
         try:
@@ -209,7 +210,8 @@ def _line_at(data: bytes, offset: int) -> int:
 def cells(line: str, separator: str, at: str) -> list[str]:
     """Return the cells of one line. A row never goes over several, so that an open quote is found where it stands.
 
-    Where a blank is the separator, several of them, and tabs, are one; a unit in brackets is part of its title.
+    Where a blank is the separator, several of them, and tabs, are one; a unit in brackets is part of its title. Raises
+    MeasurementError for an open quote.
     """
     if '"' not in line:
         return by_blanks(line) if separator == " " else [cell.strip() for cell in line.split(separator)]

@@ -9,6 +9,7 @@ from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import MeasurementError
 from calib.foundations.rigid import rotation_of_quaternion
 from calib.foundations.units import Dimension, Unit, unit_of
+from calib.measurement.orientations import ANGLES
 from calib.measurement.table import APPROACH, QUATERNION_COLUMNS, TEXT_COLUMNS, TORQUE, HeaderError, Table, nearest
 
 # Three digits after the point are enough; shifted columns, angles or half a quaternion are not.
@@ -17,7 +18,6 @@ POSITION = ("x", "y", "z")
 PIXELS = ("u", "v")
 BOARD = ("board_x", "board_y", "board_z")
 POINT = ("point_x", "point_y", "point_z")
-_EULER = ("rx", "ry", "rz")
 SIGMAS: tuple[tuple[str, ...], ...] = (("sigma",), ("sigma_x", "sigma_y", "sigma_z"))
 SIGMA_ANGLES: tuple[tuple[str, ...], ...] = (("sigma_angle",), ("sigma_rx", "sigma_ry", "sigma_rz"))
 KNOWN = frozenset(
@@ -70,7 +70,7 @@ def refuse_unknown(
                 f"{table.where}: column {name!r} is of a joint that is not read: it is fixed or follows others; leave "
                 "the column out."
             )
-        if name not in known and name not in _EULER:
+        if name not in known and name not in ANGLES:
             near = nearest(name, sorted(known - table.columns.keys()))
             raise HeaderError(f"{table.where}: column {name!r} is neither a joint nor a known column{near}.")
 
@@ -119,7 +119,7 @@ def orientations(table: Table) -> Array:
 
     Raises MeasurementError when one is missing, or a quaternion is not of unit length.
     """
-    if any(name in table.columns for name in _EULER) and "qw" not in table.columns:
+    if any(name in table.columns for name in ANGLES) and "qw" not in table.columns:
         raise HeaderError(
             f"{table.where}: rx, ry, rz do not say in which order and about which axes they turn; give orientation, "
             "or convert them to quaternions qw, qx, qy, qz."

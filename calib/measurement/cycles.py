@@ -13,10 +13,9 @@ from calib.foundations.arrays import Array, read_only, rows_by_word
 from calib.foundations.errors import MeasurementError
 from calib.foundations.sealing import sealed
 from calib.foundations.units import Dimension
-from calib.measurement.columns import orientations, refuse_others, stacked, words
+from calib.measurement.columns import POSITION, orientations, refuse_others, stacked, words
 from calib.measurement.table import QUATERNION_COLUMNS, Table, read_table
 
-_POSITION = ("x", "y", "z")
 _COMMAND = ("command_x", "command_y", "command_z")
 _COMMAND_TURN = ("command_qw", "command_qx", "command_qy", "command_qz")
 _WORDS = ("target", "direction")
@@ -58,9 +57,9 @@ def cycles(table: Table) -> Cycles:
     are very many targets or directions.
     """
     columns, where = table.columns, table.where
-    known = {*_POSITION, *QUATERNION_COLUMNS, *_COMMAND, *_COMMAND_TURN, *_WORDS, "time", "group"}
+    known = {*POSITION, *QUATERNION_COLUMNS, *_COMMAND, *_COMMAND_TURN, *_WORDS, "time", "group"}
     refuse_others(table, known, "cycles")
-    groups: list[Sequence[str]] = [("target", *_POSITION)]
+    groups: list[Sequence[str]] = [("target", *POSITION)]
     groups += [some for some in (QUATERNION_COLUMNS, _COMMAND, _COMMAND_TURN) if any(name in columns for name in some)]
     for name in itertools.chain(*groups):
         if name not in columns:
@@ -78,7 +77,7 @@ def cycles(table: Table) -> Cycles:
             if given is not None and np.abs(given[rows] - given[rows[0]]).max() > 1e-9:
                 raise MeasurementError(f"{where}: target {place!r} has several commands; give each its own name.")
     return Cycles(
-        stacked(table, dict.fromkeys(_POSITION, "length")),
+        stacked(table, dict.fromkeys(POSITION, "length")),
         turn,
         commanded,
         commanded_turn,

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from calib.foundations.arrays import Array, IntArray
+from calib.foundations.arrays import Array, IntArray, evenly_ranked
 from calib.foundations.errors import RobotError
 from calib.foundations.rigid import inverse, translation
 from calib.foundations.sealing import sealed
@@ -168,7 +168,7 @@ def render_scene(scene: Scene) -> str:
         raise RobotError(f"tip {scene.tip!r} is not a link of the URDF.")
     # Drawn in the root link's frame: the base stands on the grid whatever way the instrument's axes point.
     T_base_world = inverse(scene.calibrated.root)
-    rows = _shown_rows(scene)
+    rows = evenly_ranked(np.linalg.norm(scene.after - scene.measured, axis=1), _MOST_POINTS)
     measured, before, after = (_moved(x[rows], T_base_world) for x in (scene.measured, scene.before, scene.after))
     at_first = replace(scene.calibrated, positions=scene.calibrated.positions[:1])
     first = {name: T[0] for name, T in link_placements(scene.urdf, at_first).items()}
@@ -237,15 +237,6 @@ def render_scene(scene: Scene) -> str:
         script=page_file(_SCRIPT),
         page=json.dumps(page, separators=(",", ":")).replace("<", "\\u003c"),
     )
-
-
-def _shown_rows(scene: Scene) -> IntArray:
-    """Return the rows to draw: all, or as many as allowed, evenly over the ranks of the error, the worst among them."""
-    n = len(scene.measured)
-    if n <= _MOST_POINTS:
-        return np.arange(n)
-    ranked = np.argsort(np.linalg.norm(scene.after - scene.measured, axis=1))
-    return np.sort(ranked[np.linspace(0, n - 1, _MOST_POINTS).round().astype(np.intp)])
 
 
 def _arm(arm: Arm, T_base_world: Array, rows: IntArray) -> dict[str, Any]:

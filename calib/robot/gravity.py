@@ -60,7 +60,9 @@ class Payload:
 class Load:
     """What bears on a robot beside its own links: ``gravity`` (m/s^2) in the base link, and a ``payload``, or none.
 
-    on_the_wall = calib.measuring.Load(gravity=(9.80665, 0.0, 0.0), payload=calib.measuring.Payload(2.5))
+        on_the_wall = calib.measuring.Load(gravity=(9.80665, 0.0, 0.0), payload=calib.measuring.Payload(2.5))
+
+    Raises RobotError when a number is out of range.
     """
 
     gravity: tuple[float, float, float] = STANDARD_GRAVITY

@@ -233,11 +233,11 @@ class Robot:
 
     @checked
     def with_loads(self, loads: Mapping[str, Load]) -> "Robot":
-        """Return the same robot, with what bears on it in single set-ups, by name. Raises RobotError.
+        """Return the same robot, with what bears on it in single set-ups, by name.
 
             robot = calib.load_robot("arm.urdf").with_loads({"wall": calib.measuring.Load((9.81, 0.0, 0.0))})
 
-        Say so before error model or terms are made of it.
+        Say so before error model or terms are made of it. Raises RobotError for a payload on none of its ``links``.
         """
         where = self.urdf.where
         return replace(
@@ -260,7 +260,7 @@ class Robot:
 
     @checked
     def moments(self, payload: Payload | None) -> Array:
-        """Return first moments in kg m, and masses in kg, of a payload (links, 4) on the robot's ``links``."""
+        """Return first moments in kg m, and masses in kg, of a payload (links, 4) on one of the robot's ``links``."""
         found = np.zeros((len(self.links), 4))
         if payload is not None:
             found[self.links.index(payload.link or self.links[0])] = payload.moments
@@ -268,9 +268,11 @@ class Robot:
 
     @checked
     def with_tip(self, link: str) -> "Robot":
-        """Return the same robot with another one of its ``links`` as the tip. Raises RobotError for any other link.
+        """Return the same robot with another one of its ``links`` as the tip.
 
-        left = robot.with_tip("left_hand")
+            left = robot.with_tip("left_hand")
+
+        Raises RobotError for any other link.
         """
         if link == self.tip:
             return self

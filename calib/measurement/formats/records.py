@@ -47,7 +47,10 @@ def from_json(data: bytes, where: str) -> Rows:
 
 
 def from_yaml(data: bytes, where: str) -> Rows:
-    """Return titles and cells of records in YAML, in one document or several. Needs the package pyyaml."""
+    """Return titles and cells of records in YAML, in one document or several. Needs the package pyyaml.
+
+    Raises MeasurementError where that is not there, and for what is no YAML or holds no records.
+    """
     if data.startswith(b"%YAML:"):
         raise MeasurementError(
             f"{where}: is of OpenCV, whose YAML is not read; numpy.savez writes an .npz, of which calib import makes a "

@@ -55,7 +55,8 @@ _MOST_LOOKED_AT = 20_000_000
 def from_xlsx(data: bytes, where: str) -> Rows:
     """Return titles and cells of the first sheet that is not hidden and not empty, and what is not read.
 
-    A first row of numbers is no header; rows before a header are passed over. Formulas are as shown.
+    A first row of numbers is no header; rows before a header are passed over. Formulas are as shown. Raises
+    MeasurementError where the package openpyxl is not there, and for what is no workbook, is too large, or is empty.
     """
     with needed(MeasurementError, f"{where}: needs the package openpyxl", ": pip install 'urdf-calib[formats]'"):
         import openpyxl  # noqa: F401, PLC0415 - an extra

@@ -363,7 +363,10 @@ def _by_what_they_leave(fitted: list[Refined]) -> list[Refined]:
 
 
 def refined(seen: Seen, moved: Moved, middle: float, near: Lag) -> Refined:
-    """Return the lag that explains positions best, of starts within a second of one that is nearly right."""
+    """Return the lag that explains positions best, of starts within a second of one that is nearly right.
+
+    Raises MeasurementError where the clocks do not overlap.
+    """
     rows = np.unique(np.linspace(0, len(seen.times) - 1, _ROWS).astype(np.intp))
     t, p, groups = seen.times[rows], seen.points[rows], seen.groups[rows]
 

@@ -11,7 +11,7 @@ import numpy as np
 from calib.assessment.advice import told_briefly
 from calib.assessment.judged import Check, JudgedSet, Use
 from calib.assessment.metrics import Metrics, error_norms
-from calib.foundations.arrays import Array, IntArray
+from calib.foundations.arrays import Array, IntArray, evenly_ranked
 from calib.foundations.words import counted
 from calib.identification.fit import Fit
 from calib.identification.identifiability import NUMERICAL_TOLERANCE
@@ -396,10 +396,7 @@ def _errors(sets: Sequence[JudgedSet]) -> list[_Errors]:
 
 
 def _drawn(values: Array) -> IntArray:
-    """Return the rows to draw: all, or as many as are allowed, evenly over their ranks, the largest among them."""
-    if len(values) <= _MOST_DOTS:
-        return np.arange(len(values))
-    return np.sort(np.argsort(values)[np.linspace(0, len(values) - 1, _MOST_DOTS).round().astype(np.intp)])
+    return evenly_ranked(values, _MOST_DOTS)
 
 
 def _size(rows: IntArray) -> float:

@@ -61,7 +61,7 @@ def read_dh(path: str | Path, convention: Convention | None = None) -> DhTable:
 
 @checked
 def parse_dh(data: bytes, where: str, convention: Convention | None = None) -> DhTable:
-    """Return the table of a file's contents; as :func:`read_dh`. ``where`` names it in sentences."""
+    """Return the table of a file's contents, and raise, as :func:`read_dh`. ``where`` names it in sentences."""
     before, header, body = _parts(lines_of(data, where, "a DH table", RobotError), where)
     units = _units(header)
     rows = tuple(_row(line, units, number) for number, line in enumerate(body, start=1))
