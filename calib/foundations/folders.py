@@ -396,8 +396,12 @@ def _end(place: _Place, work: _Work) -> None:
 
 
 def _stands_aside(work: _Work) -> bool:
-    """Return whether a run was killed between the two steps, so that the old folder has no successor yet."""
-    return lstat(_OLD, work.handle) is not None and lstat(_NEW, work.handle) is not None
+    """Return whether a run was killed between the two steps, so that the old folder has no successor yet.
+
+    What is no folder no run has put aside: a link by which results would be led elsewhere from now on.
+    """
+    old = lstat(_OLD, work.handle)
+    return old is not None and stat.S_ISDIR(old.st_mode) and lstat(_NEW, work.handle) is not None
 
 
 def _put_back(place: _Place, work: _Work) -> None:

@@ -624,6 +624,27 @@ def test_parts_that_are_no_folders(tmp_path: Path, part: str, kind: str) -> None
     )
 
 
+@pytest.mark.parametrize("kind", ["link", "file", "pipe"])
+def test_what_is_no_folder_is_not_put_back(tmp_path: Path, kind: str) -> None:
+    """Such as a link in an archive of somebody else: it became ``out``, and the next run replaced what it leads to."""
+    home = fill(tmp_path / "home", OLD)
+    old = left(tmp_path / HIDDEN, old=False) / "old"
+    match kind:
+        case "link":
+            old.symlink_to(home)
+        case "file":
+            old.write_text("mine")
+        case _:
+            os.mkfifo(old)
+    with reading_folder(tmp_path / "out"):
+        pass
+    assert not os.path.lexists(tmp_path / "out")
+    write_folder(tmp_path / "out", NEW, OURS)
+    assert texts(tmp_path / "out") == NEW
+    assert texts(home) == OLD
+    assert os.path.lexists(old)
+
+
 # Somebody who swaps folders for links meanwhile. --------------------------------------------------------------------
 
 
