@@ -81,11 +81,14 @@ def _of_camera(parameter: Parameter, value: float, sigma: float) -> str | None:
     of_lens = parameter.kind == "instrument" and parameter.name.startswith("lens.")
     if prior is None or not (of_lens or is_stated_scale(parameter)) or abs(off) <= _OFF * prior:
         return None
+    # What other numbers of camera and board can take the place of has no sigma.
     if of_lens:
         unit = f" {parameter.unit}" if parameter.unit == "px" else ""
-        so, right, remedy = f"{off:+.2g} +- {sigma:.2g}{unit}", f"{prior:.2g}{unit}", "Leave out its lens_sigma"
+        sure = "" if np.isnan(sigma) else f" +- {sigma:.2g}"
+        so, right, remedy = f"{off:+.2g}{sure}{unit}", f"{prior:.2g}{unit}", "Leave out its lens_sigma"
     else:
-        so, right = f"{100.0 * off:+.2g} +- {100.0 * sigma:.2g} %", f"{100.0 * prior:.2g} %"
+        sure = "" if np.isnan(sigma) else f" +- {100.0 * sigma:.2g}"
+        so, right = f"{100.0 * off:+.2g}{sure} %", f"{100.0 * prior:.2g} %"
         remedy = "Measure the squares of the board again"
     return (
         f"{parameter.name} is found {so} from what is stated, which is said to be right to {right}, and is held back "

@@ -1,6 +1,8 @@
 """A stated prior that the data contradict is a doubt; one that is right is none."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import calib
 from calib.assessment.influence import Residue
 from calib.assessment.priors import contradicted
 from calib.assessment.stretches import stretches
+from calib.identification.parameters import Parameter
 from calib.identification.set_ups import SetUp
 from calib.measurement.checks import Finding
 from tests.support import machines
@@ -160,3 +163,14 @@ def test_of_a_base_among_many_set_ups_it_is_said() -> None:
     model = calib.error_model(robot, offsets="all", placements="all", known=calib.Known(setups=setups))
     (found,) = said_of(calib.identify(model, sets))
     assert found.sentence.startswith("The prior of lengths of base.s4 (2 mm) is not what the data say: ")
+
+
+@pytest.mark.parametrize(
+    ("sigma", "so"), [(1e-3, "lens.k1 is found -0.49 +- 0.001 from "), (np.nan, "lens.k1 is found -0.49 from what is ")]
+)
+def test_a_number_of_a_lens_that_is_not_identifiable_is_told_without_a_sigma(sigma: float, so: str) -> None:
+    """One of a lens that is stated wrongly, such as an fy of 100000 px, beside which nothing shows k1."""
+    k1 = Parameter("lens.k1", "number", "instrument", (), prior=0.05, centre=-0.09)
+    fit = SimpleNamespace(parameters=(k1,), values=np.array([-0.58]), sigmas=np.array([sigma]))
+    (finding,) = contradicted(cast("calib.Fit", fit), ())
+    assert finding.sentence.startswith(so)
