@@ -8,15 +8,16 @@ nor hide one.
 
 What no data can tell apart is said together: where a free base or tool takes the rest, the sign of an outer joint and
 half a turn of the one next to it (UR10: joints 1 and 2, and 6 and 5; Panda: 1 and 2). A zero that a free base or tool
-absorbs is no mistake. Two mistakes at once are not searched, but for two neighbouring zeros; no single one explains
-them, and that is said.
+absorbs is no mistake. Two mistakes at once are not searched, but for signs and zeros of any number of joints
+(:mod:`calib.identification.zeros`); no single one explains them, and that is said.
 
 Photographs of a board are taken for the poses that they show (:mod:`calib.identification.photographed_poses`).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, islice, pairwise, product
+from functools import cache
+from itertools import combinations, islice, pairwise
 from typing import Literal
 
 import numpy as np
@@ -26,7 +27,7 @@ from calib.foundations import linear, rigid
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.errors import PoseError
 from calib.foundations.units import DEG, INCH, MM
-from calib.foundations.words import shown
+from calib.foundations.words import counted, shown
 from calib.identification.arrow import Split
 from calib.identification.error_model import ErrorModel
 from calib.identification.initialisation.frames import initial_frames
@@ -35,6 +36,7 @@ from calib.identification.machine import values_at
 from calib.identification.parameters import Priors, scales
 from calib.identification.photographed_poses import Strays, poses_seen, strays
 from calib.identification.system import Problem, evaluate
+from calib.identification.zeros import Zeros, other_zeros, told
 from calib.measurement.checks import Finding
 from calib.measurement.instruments import CameraPlace
 from calib.measurement.measurements import Measurements, reach_of
@@ -56,8 +58,10 @@ _CLEARLY = 3.0
 _LARGE = 0.07
 # Mended, all comes near but ordinary errors. A wrong given base misses by so much that nonsense can lower it threefold.
 _EXPLAINED = 0.1
-# Two zeros are many ways to bring another maker's arm nearer: they left 4 % of the reach, and true ones 0.9 % at most.
-_EXPLAINED_BY_TWO = 0.02
+# Zeros of several joints are many ways to bring another maker's arm nearer: two of them left 4 % of the reach, and true
+# ones 0.9 % at most.
+_EXPLAINED_BY_ZEROS = 0.02
+_OTHER_ZEROS = "other-zeros"
 # An explanation that does not suffice is worth mentioning if it halves what is missed.
 _HELPFULLY = 2.0
 # Explanations that leave up to 1.5 times as much are mentioned; within a hundredth the first of the table is the best.
@@ -103,6 +107,7 @@ class Mistake:
     looks_as_if: str
     mend: Mend
     shrink: float = 1.0
+    zeros: Zeros | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +124,20 @@ class _Trial:
         return self.miss * self.mistake.shrink
 
 
+@dataclass(frozen=True, slots=True)
+class Named:
+    """What is wrong with measurements; ``zeros``: how readings count then, where that is what is wrong."""
+
+    finding: Finding
+    zeros: Zeros | None = None
+
+
 def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Finding, ...]:
+    """Return :func:`named`, the findings alone."""
+    return tuple(one.finding for one in named(model, measurements))
+
+
+def named(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Named, ...]:
     """Return the typical mistake that explains why the nominal robot misses the measurements; usually nothing.
 
     A mistake is sought in all sets together, then in every single one, and in the rows of one set-up after the other,
@@ -138,12 +156,14 @@ def signatures(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple
         sets = [data.at_readings() for data in placed or touched]
         setups = dict.fromkeys(setup for data in sets for setup in data.setups)
         loaded = [data.loaded(model.urdf_robot) for data in sets]
+        # One arm has one zero for each joint, in whatever set-up: sought once, and only where nothing else explains.
+        zeros = cache(lambda: () if camera_on or not _seen(loaded) else tuple(_of_zeros(model, loaded)))
         sought = (
-            _signatures(model.at(setup), [data.at(setup) for data in loaded if setup in data.setups], camera_on)
+            _named(model.at(setup), [data.at(setup) for data in loaded if setup in data.setups], camera_on, zeros)
             for setup in setups
         )
         missed = islice((found for found in sought if found is not None), _MOST_SOUGHT)
-        return tuple(finding for found in missed for finding in found)
+        return tuple(one for found in missed for one in found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,9 +206,12 @@ def apart(model: ErrorModel, measurements: Sequence[Measurements]) -> Apart | No
         return Apart(_OF_TABLES[best.mistake.code], missed, best.miss)
 
 
-def _signatures(
-    model: ErrorModel, sets: Sequence[Measurements], camera_on: CameraPlace | None
-) -> tuple[Finding, ...] | None:
+def _named(
+    model: ErrorModel,
+    sets: Sequence[Measurements],
+    camera_on: CameraPlace | None,
+    zeros: Callable[[], Sequence[Mistake]],
+) -> tuple[Named, ...] | None:
     """Return the mistake in the rows of one set-up; None where they are too few, or near where they should be."""
     filled = [data for data in sets if len(data)]
     if not filled:
@@ -203,7 +226,7 @@ def _signatures(
     if missed < _GOOD * reach * float(np.sqrt(shown)):
         return None
     if camera_on and (found := strays(model, sets)) is not None:
-        return (_contradicted(sets, found),)
+        return (Named(_contradicted(sets, found)),)
     every = tuple(range(len(sets)))
     tables = _trials_of_tables(model, sets) if len(every) > 1 and _seen(sets) and not camera_on else []
     if model.tool == "position" and any(data.kind == "pose" for data in sets) and not camera_on:
@@ -212,18 +235,18 @@ def _signatures(
         # A tool of each table's own explains no less.
         tables = [turned, *(trial for trial in tables if _CLEARLY * trial.counted < turned.miss)]
     tried: list[_Trial] = []
-    for scope, trials, most in _searches(model, sets, tables, camera_on, far=missed > _LARGE * reach):
+    for scope, trials, most in _searches(model, sets, tables, camera_on, zeros if missed > _LARGE * reach else tuple):
         if not trials:
             continue
         best, *others = _likeliest(trials)
         # Readings that are made too small explain positions that hardly change: a robot that stands still does so too.
         still = _still([best.mistake.mend(sets[i]) for i in scope]) if _seen(sets) else np.inf
         if missed > _CLEARLY * best.counted and best.miss < min(most * reach, still):
-            return (_explained(model, sets, missed, best, others),)
+            return (Named(_explained(model, sets, missed, best, others), best.mistake.zeros),)
         tried.append(best)
-    return (
-        (_unexplained(model, sets, missed, min(tried, key=_counted, default=None)),) if missed > _LARGE * reach else ()
-    )
+    if missed <= _LARGE * reach:
+        return ()
+    return (Named(_unexplained(model, sets, missed, min(tried, key=_counted, default=None))),)
 
 
 def _searches(
@@ -231,20 +254,17 @@ def _searches(
     sets: Sequence[Measurements],
     tables: Sequence[_Trial],
     camera_on: CameraPlace | None,
-    *,
-    far: bool,
+    zeros: Callable[[], Sequence[Mistake]],
 ) -> Iterator[tuple[tuple[int, ...], list[_Trial], float]]:
     """Yield the tables in which a mistake may be, its trials, and the share of the reach that it may leave at most.
 
-    ``tables``: trials of what tables have of their own. ``far``: whether two zeros may be wrong.
+    ``tables``: trials of what tables have of their own. ``zeros``: those of several joints, when asked for.
     """
     every = tuple(range(len(sets)))
     yield every, [*_trials(model, sets, every, camera_on), *tables], _EXPLAINED
     for scope in _alone(model, sets):
         yield scope, [*_trials(model, sets, scope, camera_on), *tables], _EXPLAINED
-    if far:
-        pairs = tuple(_of_two_zeros(_tried_one_by_one(model, sets)))
-        yield every, _trials_of(model, sets, every, pairs), _EXPLAINED_BY_TWO
+    yield every, _trials_of(model, sets, every, zeros()), _EXPLAINED_BY_ZEROS
 
 
 def _alone(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[tuple[int, ...]]:
@@ -468,6 +488,8 @@ def _explained(
     as_well = [trial.mistake.looks_as_if for trial in others if trial.counted <= _AS_WELL * best.counted]
     more = f", or {len(as_well) - _LISTED} more" if len(as_well) > _LISTED else ""
     also = f"; it could also be that {', or that '.join(as_well[:_LISTED])}{more}" if as_well else ""
+    if best.mistake.code == _OTHER_ZEROS:
+        also = f"; {counted(len(as_well), 'other combination')} of zeros and signs would do as well" if as_well else ""
     return Finding(
         "error",
         best.mistake.code,
@@ -532,7 +554,8 @@ def _of_readings(readings: Sequence[Reading], *, units: bool) -> Iterator[Mistak
     """Yield what readings may have wrong; ``units``: also those by which a robot hardly moves and touches one place."""
     ones = np.eye(len(readings))
     for reading, one in zip(readings, ones, strict=True):
-        yield Mistake("flipped-sign", f"{reading.name!r} is read with the wrong sign", otherwise_read(1.0 - 2.0 * one))
+        says = f"{reading.name!r} is read with the wrong sign"
+        yield _counted_otherwise("flipped-sign", says, Zeros(read_only(1.0 - 2.0 * one), read_only(0.0 * one)))
     for i, j in combinations(range(len(readings)), 2):
         if readings[i].dimension == readings[j].dimension:
             a, b = readings[i].name, readings[j].name
@@ -549,21 +572,26 @@ def _of_readings(readings: Sequence[Reading], *, units: bool) -> Iterator[Mistak
     for reading, one in zip(readings, ones, strict=True):
         for degrees in ("+90", "-90", "180") if reading.dimension == "angle" else ():
             says = f"{reading.name!r} is read from another zero and needs {degrees} deg"
-            yield Mistake("shifted-zero", says, otherwise_read(offset=float(degrees) * DEG * one))
+            zeros = Zeros(read_only(np.ones_like(one)), read_only(float(degrees) * DEG * one))
+            yield _counted_otherwise("shifted-zero", says, zeros)
     for dimension, factor, says in _READING_UNITS if units else ():
         its = np.array([reading.dimension == dimension for reading in readings])
         if its.any():
             yield Mistake("reading-unit", says, otherwise_read(np.where(its, factor, 1.0)))
 
 
-def _of_two_zeros(readings: Sequence[Reading]) -> Iterator[Mistake]:
-    """Yield two neighbouring zeros that are others: of an arm that is drawn straight, and at zero has a bent elbow."""
-    ones = np.eye(len(readings))
-    for i, (a, b) in enumerate(pairwise(readings)):
-        for first, second in product((90, -90), repeat=2) if a.dimension == b.dimension == "angle" else ():
-            says = f"{a.name!r} and {b.name!r} are read from other zeros and need {first:+d} and {second:+d} deg"
-            offset = DEG * (first * ones[i] + second * ones[i + 1])
-            yield Mistake("shifted-zero", says, otherwise_read(offset=offset))
+def _of_zeros(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Mistake]:
+    """Yield signs and zeros of several joints that bring the robot near; those of one have been tried."""
+    at_base, at_tool = model.base == "pose", model.tool != "fixed"
+    if any(data.orientation is not None for data in sets):
+        at_tool = model.tool == "pose"
+    readings = model.robot.readings
+    for zeros in other_zeros(model.robot, sets, at_base=at_base, at_tool=at_tool):
+        yield _counted_otherwise(_OTHER_ZEROS, told(zeros, readings), zeros)
+
+
+def _counted_otherwise(code: str, says: str, zeros: Zeros) -> Mistake:
+    return Mistake(code, says, otherwise_read(zeros.senses, zeros.offsets), zeros=zeros)
 
 
 def _of_frames(model: ErrorModel, sets: Sequence[Measurements], camera_on: CameraPlace | None) -> Iterator[Mistake]:

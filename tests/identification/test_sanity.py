@@ -446,29 +446,12 @@ def test_of_loops_it_is_asked_how_they_close() -> None:
 
 def test_two_mistakes_are_not_taken_for_one() -> None:
     lab = Lab("panda")
-    data = lab.measure(joints(["panda_joint2", "panda_joint4"], np.negative))
-    assert signatures(lab.model(), [data]) == (
-        Finding(
-            "warning",
-            "unexplained",
-            "arrays: the nominal robot misses the measurements by 420 mm rms, and no typical mistake explains it (the "
-            "nearest, that 'panda_joint5' is read from another zero and needs 180 deg, leaves 154 mm): is this the "
-            "URDF of the robot that was measured, is a joint offset above 10 deg, do readings and measurements of a "
-            "row belong together, or are there two mistakes?",
-        ),
-    )
-
-
-@pytest.mark.parametrize(("first", "second"), [(90.0, -90.0), (-90.0, 90.0), (-90.0, -90.0)])
-@pytest.mark.parametrize("observes", ["position", "pose"])
-def test_two_zeros_of_an_elbow(observes: str, first: float, second: float) -> None:
-    """Makers read an arm from where its elbow is bent, and its URDF is drawn straight: nothing explained it."""
-    lab = Lab("ur10", observes)
-    a, b = "shoulder_lift_joint", "elbow_joint"
-    moved = joint(a, lambda q: q - np.radians(first)), joint(b, lambda q: q - np.radians(second))
-    (finding,) = signatures(lab.model(), [lab.measure(lambda columns: moved[1](moved[0](columns)))])
-    assert (finding.severity, finding.code) == ("error", "shifted-zero")
-    assert f"{a!r} and {b!r} are read from other zeros and need {first:+.0f} and {second:+.0f} deg" in finding.sentence
+    swapped = joints(["panda_joint4", "panda_joint6"], lambda q: q[:, ::-1])
+    data = lab.measure(lambda columns: joint("panda_joint2", np.negative)(swapped(columns)))
+    (finding,) = signatures(lab.model(), [data])
+    assert (finding.severity, finding.code) == ("warning", "unexplained")
+    assert "rms, and no typical mistake explains it" in finding.sentence
+    assert finding.sentence.endswith("or are there two mistakes?")
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -176,17 +176,17 @@ def test_a_document_that_is_no_urdf_is_refused() -> None:
     [
         (
             np.diag([1.0, 1.0, 1.1, 1.0]),
-            "arm.urdf: joint 'j' reads back with an origin off by 1.0e-01; "
+            "arm.urdf: joint 'j' reads back with an error of 1.0e-01; "
             "this is a bug, or the placement asked for is no rigid motion.",
         ),
         (
             np.diag([1.0, 1.0, -1.0, 1.0]),
-            "arm.urdf: joint 'j' reads back with an origin off by 2.0e+00; "
+            "arm.urdf: joint 'j' reads back with an error of 2.0e+00; "
             "this is a bug, or the placement asked for is no rigid motion.",
         ),
         (
             placement(np.eye(3), np.array([np.nan, 0.0, 0.0])),
-            "arm.urdf: with the new origins it does not read back (arm.urdf:6: joint 'j': <origin> xyz='nan 0.0 0.0' "
+            "arm.urdf: with what was changed it does not read back (arm.urdf:6: joint 'j': <origin> xyz='nan 0.0 0.0' "
             "is not 3 plain decimal numbers.); this is a bug.",
         ),
         (
