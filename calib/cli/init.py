@@ -3,9 +3,10 @@
 import os
 import shlex
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +14,9 @@ from calib.cli.application import IN_WORDS, PATH, Telling, command
 from calib.cli.options import argument, written
 from calib.cli.proposing import NOTHING_SAID, Said, proposed, tell_check
 from calib_start import loading
+
+if TYPE_CHECKING:
+    from calib.job.proposal import Proposal
 
 
 @command("init", PATH, "calib init arm.urdf measured.csv")
@@ -24,6 +28,10 @@ def init(
     xacro: Annotated[
         bool, typer.Option("--xacro", help="URDF is a xacro file: run it. This runs code of the file.")
     ] = False,
+    zeros: Annotated[
+        Path | None,
+        written("FILE", "Where readings have other zeros or signs, write a URDF with theirs, and use it.", "--zeros"),
+    ] = None,
     said: Said = NOTHING_SAID,
     telling: Telling = IN_WORDS,
 ) -> None:
@@ -37,8 +45,15 @@ def init(
         from calib.job.inputs import STEPS_OF_LOADING
         from calib.job.looking import loaded, looked_at
     refuse_taken(output)
-    with _expanded(Path(urdf), output) if xacro else nullcontext((urdf, ())) as (robot, warnings):
-        found = proposed(robot, data, said.answers(), ask=not (yes or telling.as_json or telling.quiet))
+    if zeros is not None:
+        refuse_taken(zeros)
+    with ExitStack() as files:
+        robot, warnings = files.enter_context(_expanded(Path(urdf), output)) if xacro else (urdf, ())
+        as_read = None if zeros is None else partial(_as_read, zeros, files)
+        ask = not (yes or telling.as_json or telling.quiet)
+        found = proposed(robot, data, said.answers(), ask=ask, as_read=as_read)
+        if zeros is not None and found.urdf != str(zeros):
+            warnings = (*warnings, f"{zeros} is not written: the readings have the zeros and signs of {robot}")
         with telling.progress(STEPS_OF_LOADING + 1) as say:
             looked = looked_at(loaded(found, output, say), say)
         write_new(output, found.job(output.absolute().parent))
@@ -47,6 +62,14 @@ def init(
         following = f". The next step: calib calibrate {shlex.quote(str(output))} -o out/"
         then = following if looked.seen.numbers > looked.seen.rank else "; it needs more poses."
         telling.tell(dict, lambda: [f"{output} is written{then}"])
+
+
+def _as_read(path: Path, files: ExitStack, found: "Proposal") -> str:
+    """Write the URDF whose joints count as the readings do; without a job it goes."""
+    from calib.foundations.files import written_first
+
+    files.enter_context(written_first(path, found.urdf_as_read()))
+    return str(path)
 
 
 @contextmanager

@@ -1,8 +1,8 @@
 """Options and steps of commands that look at files of others before there is a job."""
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -87,16 +87,32 @@ class AsTitled:
 AS_TITLED = AsTitled()
 
 
-def proposed(urdf: str, files: Sequence[Path], given: Mapping[str, Any], *, ask: bool) -> "Proposal":
-    """Return a proposal without open questions; ``ask``: a person at the terminal, else the first one is an error."""
+def proposed(
+    urdf: str,
+    files: Sequence[Path],
+    given: Mapping[str, Any],
+    *,
+    ask: bool,
+    as_read: Callable[["Proposal"], str] | None = None,
+) -> "Proposal":
+    """Return a proposal without open questions; ``ask``: a person at the terminal, else the first one is an error.
+
+    ``as_read``: writes, once, the URDF of readings that have other zeros or signs, and returns where it is.
+    """
     with loading():
         from calib.foundations.errors import JobError
+        from calib.identification.zeros import told
         from calib.job.propose import propose
-    given = dict(given)
+    given, of_zeros = dict(given), tuple[str, ...]()
     while True:
         found = propose(urdf, files, **given)
         if not found.questions:
-            return found
+            return replace(found, reasons=(*of_zeros, *found.reasons))
+        if found.zeros and as_read is not None:
+            counting, as_read = as_read(found), None
+            of_zeros = (f"{counting} is {urdf} with the zeros and signs of the readings: there {told(found.zeros)}.",)
+            urdf = counting
+            continue
         question = found.questions[0]
         if not (ask and question.choices and sys.stdin.isatty()):
             raise JobError(question.sentence)

@@ -587,7 +587,8 @@ def _of_zeros(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Mista
         at_tool = model.tool == "pose"
     readings = model.robot.readings
     for zeros in other_zeros(model.robot, sets, at_base=at_base, at_tool=at_tool):
-        yield _counted_otherwise(_OTHER_ZEROS, told(zeros, readings), zeros)
+        says = f"the readings have other zeros or signs than the URDF: {told(zeros.by_name(readings))}"
+        yield _counted_otherwise(_OTHER_ZEROS, says, zeros)
 
 
 def _counted_otherwise(code: str, says: str, zeros: Zeros) -> Mistake:

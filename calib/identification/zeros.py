@@ -24,6 +24,7 @@ from calib.foundations.errors import PoseError
 from calib.foundations.rigid import inverse
 from calib.foundations.sealing import sealed
 from calib.foundations.units import DEG
+from calib.foundations.words import shown
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Reading, Robot
 
@@ -43,8 +44,8 @@ _AT_ONCE = 8000
 _AS_WELL, _MOST = 1.1, 16
 # Share of a volume by which A is a mirror; of positions in a plane it is none.
 _MIRRORED = 1e-3
-# Angles all this near to quarter turns are these: the rest is an ordinary joint offset.
-_ORDINARY = 8.0 * DEG
+# An angle this near to a quarter turn is one, and so are all where none is further off: the rest is a joint offset.
+_NEAR, _ORDINARY = 3.0 * DEG, 8.0 * DEG
 _QUARTERS = (0.0, 90.0 * DEG, -90.0 * DEG, 180.0 * DEG)
 # What tells axes and arms from rounding.
 _NEGLIGIBLE = 1e-9
@@ -64,18 +65,22 @@ class Zeros:
 
     @property
     def changed(self) -> int:
-        """How many readings count otherwise than the URDF says, each offset and each sense."""
+        """How many senses and offsets are not those of the URDF."""
         return int(np.count_nonzero(self.senses < 0.0) + np.count_nonzero(self.offsets))
 
+    def by_name(self, readings: Sequence[Reading]) -> dict[str, tuple[float, float]]:
+        """Return sense and offset of the readings that count otherwise, by their names."""
+        each = zip(readings, self.senses.tolist(), self.offsets.tolist(), strict=True)
+        return {reading.name: (sense, offset) for reading, sense, offset in each if sense < 0.0 or offset}
 
-def told(zeros: Zeros, readings: Sequence[Reading]) -> str:
-    """Return in words where joints stand whose readings count otherwise."""
+
+def told(counted: Mapping[str, tuple[float, float]]) -> str:
+    """Return in words where joints stand that count otherwise: sense and offset by name, of :meth:`Zeros.by_name`."""
     said = []
-    for reading, sense, offset in zip(readings, zeros.senses, zeros.offsets, strict=True):
-        if sense < 0.0 or offset:
-            moved = f" {'-' if offset < 0.0 else '+'} {abs(offset) / DEG:.0f} deg" if offset else ""
-            said.append(f"{reading.name!r} stands at {'-' if sense < 0.0 else ''}reading{moved}")
-    return f"the readings have other zeros or signs than the URDF: {', '.join(said)}"
+    for name, (sense, offset) in counted.items():
+        moved = f" {'-' if offset < 0.0 else '+'} {abs(offset) / DEG:.0f} deg" if offset else ""
+        said.append(f"{shown(name)} stands at {'-' if sense < 0.0 else ''}reading{moved}")
+    return ", ".join(said)
 
 
 def other_zeros(robot: Robot, sets: Sequence[Measurements], *, at_base: bool, at_tool: bool) -> tuple[Zeros, ...]:
@@ -318,10 +323,11 @@ class _Search:
 
 
 def _rounded(offsets: Array) -> Array:
-    """Return offsets (..., nr) from -180 to 180 deg: quarter turns where all are near to these, else whole degrees."""
+    """Return offsets (..., nr) from -180 to 180 deg: quarter turns where they are near to these, else whole degrees."""
     quarters = 90.0 * DEG * np.round(offsets / (90.0 * DEG))
-    ordinary = np.all(np.abs(offsets - quarters) < _ORDINARY, axis=-1, keepdims=True)
-    found = np.where(ordinary, quarters, DEG * np.round(offsets / DEG))
+    off = np.abs(offsets - quarters)
+    quarter = (off < _NEAR) | np.all(off < _ORDINARY, axis=-1, keepdims=True)
+    found = np.where(quarter, quarters, DEG * np.round(offsets / DEG))
     return -np.remainder(np.pi - found, 2.0 * np.pi) + np.pi
 
 

@@ -1,5 +1,6 @@
 """What was found in files of others, why, and what is asked; and the job file that it makes."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -11,8 +12,13 @@ from calib.job.toml_text import seen_from, toml_text
 from calib.measurement.kinds import Kind
 from calib.measurement.table import Columns
 from calib.robot.robot import Robot
+from calib.robot.urdf_writer import splice_zeros
 
-About = Literal["tip", "joints", "angles", "lengths", "position", "orientation", "observes", "setup", "columns"]
+About = Literal[
+    "tip", "joints", "angles", "lengths", "position", "orientation", "observes", "setup", "columns", "zeros"
+]
+# By joint, a sense, 1 or -1, and an offset in rad or m: the joint of the URDF stands at sense * reading + offset.
+CountedZeros = Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +77,8 @@ class Proposal:
 
     ``reasons``: one sentence for everything that was concluded. ``questions``: what could not be; ``tables`` is
     complete only when there are none. ``urdf``: as it was given. ``placements``: whether link placements are free; else
-    joint offsets alone, as of few rows.
+    joint offsets alone, as of few rows. ``zeros``: where the question is whether the readings have other zeros or signs
+    than the URDF, these, by joint: the sense, 1 or -1, and the offset in rad or m; see :meth:`urdf_as_read`.
     """
 
     __repr__ = brief
@@ -82,6 +89,18 @@ class Proposal:
     reasons: tuple[str, ...]
     questions: tuple[Question, ...]
     placements: bool = True
+    zeros: CountedZeros | None = None
+
+    def urdf_as_read(self) -> bytes:
+        """Return the URDF whose joints count as the readings do: to be written, and proposed with the same tables.
+
+            found = calib.measuring.propose("arm.urdf", ["measured.csv"])
+            if found.zeros:
+                Path("arm_as_read.urdf").write_bytes(found.urdf_as_read())
+
+        Without :attr:`zeros` it is the URDF as it was.
+        """
+        return splice_zeros(self.robot.urdf.source, self.zeros or {}, self.robot.urdf.where)
 
     @checked
     def job(self, folder: Path | None = None) -> str:

@@ -88,7 +88,7 @@ def propose(
         arm = robot or _some_robot(document, tip)
         # No answer leads to a job of such an arm.
         refuse_joints_like_columns((reading.name for reading in arm.readings), document.where)
-        return Proposal(str(urdf), arm, tuple(tables), tuple(reasons), (asked.question,))
+        return Proposal(str(urdf), arm, tuple(tables), tuple(reasons), (asked.question,), zeros=asked.zeros)
     assert robot is not None, "there are files"
     refuse_joints_like_columns((reading.name for reading in robot.readings), document.where)
     if orientation is not None and all(table.columns.orientation is None for table in tables):

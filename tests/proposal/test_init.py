@@ -539,11 +539,61 @@ def test_what_rows_cannot_judge_is_told_before_it_is_solved(folder: Path, n: int
     assert run("calibrate", "calibration.toml", "-o", "out", "-q").code == (1 if n == 8 else 3)
 
 
+def otherwise_read(folder: Path, senses: list[float], zeros: list[float]) -> None:
+    """A table of joints that stand at ``senses * reading + zeros`` (deg)."""
+    s, joints = session(), [f"A{k}" for k in range(1, 7)]
+    read = (np.degrees(s.readings) - np.array(zeros)) * np.array(senses)
+    (folder / "measured.csv").write_text(text([*joints, "X", "Y", "Z"], [read, 1e3 * s.position]), encoding="utf-8")
+
+
 def test_a_mistake_that_explains_why_no_way_fits_is_named(folder: Path) -> None:
     """Only signs and the order of joints were asked for, and how titles are to be read."""
-    s, joints = session(), [f"A{k} [deg]" for k in range(1, 7)]
-    table = [np.degrees(s.readings) + np.array([0.0, 90.0, -90.0, 0.0, 0.0, 0.0]), 1e3 * s.position]
-    (folder / "measured.csv").write_text(text([*joints, "x [mm]", "y [mm]", "z [mm]"], table), encoding="utf-8")
+    otherwise_read(folder, [1.0, 1.0, 1.0, -1.0, 1.0, 1.0], [0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
     said = " ".join(run("init", UR10, "measured.csv", "--yes").err.split())
-    assert "'shoulder_lift_joint' and 'elbow_joint' are read from other zeros and need -90 and +90 deg" in said
-    assert said.endswith("; answer by a table or a URDF in which this is corrected.")
+    assert (
+        "A1 to A6 in deg: it looks as if the readings have other zeros or signs than the URDF: 'shoulder_lift_joint' "
+        "stands at reading - 90 deg, 'elbow_joint' stands at reading + 90 deg, 'wrist_1_joint' stands at -reading:"
+    ) in said
+    assert said.endswith("; answer by --zeros FILE of calib init, which writes that URDF.")
+    assert [path.name for path in folder.iterdir()] == ["measured.csv"]
+
+
+def test_a_urdf_that_counts_as_the_readings_do_is_written(folder: Path) -> None:
+    otherwise_read(folder, [1.0, 1.0, 1.0, -1.0, 1.0, 1.0], [0.0, -90.0, 90.0, 20.0, 0.0, 0.0])
+    said = run("init", UR10, "measured.csv", "--zeros", "as_read.urdf", "--yes")
+    assert said.code == 0, said.err
+    assert "as_read.urdf is example:" in " ".join(said.out.split())
+    assert tomllib.loads((folder / "calibration.toml").read_text(encoding="utf-8"))["robot"]["urdf"] == "as_read.urdf"
+    assert run("calibrate", "calibration.toml", "-o", "out", "-q").code == 0
+
+
+def test_no_urdf_is_written_where_none_is_needed_or_no_job_is(folder: Path) -> None:
+    s = session()
+    titles = [*(f"A{k} [deg]" for k in range(1, 7)), "x [mm]", "y [mm]", "z [mm]"]
+    (folder / "measured.csv").write_text(text(titles, [np.degrees(s.readings), 1e3 * s.position]), encoding="utf-8")
+    said = run("init", UR10, "measured.csv", "--zeros", "as_read.urdf", "--yes")
+    assert (said.code, (folder / "as_read.urdf").exists()) == (0, False)
+    assert f"as_read.urdf is not written: the readings have the zeros and signs of {UR10}" in " ".join(said.out.split())
+    otherwise_read(folder, [1.0, 1.0, 1.0, -1.0, 1.0, 1.0], [0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
+    (folder / "there.urdf").write_text("mine", encoding="utf-8")
+    for options in (["--zeros", "there.urdf"], ["--zeros", "new.urdf", "-o", "new.urdf"]):
+        said = run("init", UR10, "measured.csv", "-o", "job.toml", *options, "--yes")
+        assert said.code == 1 and "Traceback" not in said.err
+        assert not (folder / "new.urdf").exists() and not (folder / "job.toml").exists()
+    assert (folder / "there.urdf").read_text(encoding="utf-8") == "mine"
+
+
+def test_python_has_the_zeros_and_the_urdf(folder: Path) -> None:
+    otherwise_read(folder, [1.0, 1.0, 1.0, -1.0, 1.0, 1.0], [0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
+    found = calib.measuring.propose(UR10, ["measured.csv"])
+    assert found.questions[0].about == "zeros"
+    assert found.zeros is not None
+    assert {name: (sense, round(float(np.degrees(offset)), 6)) for name, (sense, offset) in found.zeros.items()} == {
+        "shoulder_lift_joint": (1.0, -90.0),
+        "elbow_joint": (1.0, 90.0),
+        "wrist_1_joint": (-1.0, 0.0),
+    }
+    (folder / "as_read.urdf").write_bytes(found.urdf_as_read())
+    again = calib.measuring.propose(folder / "as_read.urdf", ["measured.csv"])
+    assert (again.questions, again.zeros) == ((), None)
+    assert again.urdf_as_read() == found.urdf_as_read()

@@ -9,7 +9,7 @@ from calib.foundations.sealing import sealed
 from calib.foundations.units import MM
 from calib.identification.followed import Followed
 from calib.job.chains import Chain
-from calib.job.proposal import About, Question
+from calib.job.proposal import About, CountedZeros, Question
 from calib.measurement.kinds import Kind
 from calib.measurement.raw import RawColumn, split_title
 from calib.measurement.roles import Joints, Orientation, Point
@@ -34,11 +34,11 @@ class Answers:
 
 
 class AskedError(Exception):
-    """A question stops the reading of a table."""
+    """A question stops the reading of a table; ``zeros``: how the joints count, where that is what is asked."""
 
-    def __init__(self, question: Question) -> None:
+    def __init__(self, question: Question, zeros: CountedZeros | None = None) -> None:
         super().__init__(question.text)
-        self.question = question
+        self.question, self.zeros = question, zeros
 
 
 def off_arm(miss: float, share: float) -> str:

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -12,10 +13,10 @@ from calib.foundations.units import UNITS
 from calib.foundations.words import first_of, shown
 from calib.identification.error_model import error_model
 from calib.identification.followed import FEWEST_ROWS, Followed, followed, strays
-from calib.identification.sanity import signatures
+from calib.identification.sanity import Named, named
 from calib.job.foreign.answers import AskedError, Pick, Trial, ask, of_dimension, off_arm, run_of, values_of
 from calib.job.foreign.seen import Seen
-from calib.job.proposal import About
+from calib.job.proposal import About, Question
 from calib.measurement.arrays import positions
 from calib.measurement.bodies import points_of_one_body
 from calib.measurement.cells import to_import
@@ -45,6 +46,9 @@ _KEPT_FOR_A_STRAY, _MOST_STRAYS = 10, 5
 _LOOKED_AT = 12
 # In so many readings, of all units together, a mistake is sought; it takes 0.1 s of each.
 _MOST_READINGS = 30
+# Beyond this angle, in rad, no joint turns; so many times as far as the tips, no points of the same arm are spread,
+# whatever its zeros are.
+_MOST_TURNED, _OTHERWISE_SPREAD = 8.0 * np.pi, 5.0
 # With fewer rows nothing is tried, nor with readings in rad or points in m beyond this.
 _FEWEST_TRIED, _LARGEST = 2, 1e4
 
@@ -352,9 +356,12 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
         strayed = _strays_question(seen, trials)
         if strayed is not None:
             raise strayed
-        said, best = _mistake(seen, trials)
-        answer = "a table or a URDF in which this is corrected"
-        if not said:
+        found, best = _mistake(seen, trials)
+        if found is not None and found.zeros is not None:
+            raise _other_zeros(seen, best, found)
+        if found is not None:
+            said, answer = found.finding.sentence, "a table or a URDF in which this is corrected"
+        else:
             said = "is it this robot, and are signs, zeros and the order of joints those of the URDF?"
             answer = "--column 'NAME [UNIT]=TITLE' for all joints, --angles and --lengths"
         raise ask(
@@ -365,6 +372,10 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
             (),
             answer,
         )
+    if enough:
+        found, best = _mistake(seen, trials)
+        if found is not None and found.zeros is not None:
+            raise _other_zeros(seen, best, found)
     angle, slide = units_by_limits(seen, pick)
     length = _length_by_reach(seen, pick, trials[0].point)
     for trial in trials:
@@ -378,25 +389,51 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
     raise AssertionError("units come from the trials")
 
 
-def _mistake(seen: Seen, trials: Sequence[Trial]) -> tuple[str, Trial]:
-    """Return the mistake that explains why an arm does not follow, empty where none does, and how columns are read.
+def _mistake(seen: Seen, trials: Sequence[Trial]) -> tuple[Named | None, Trial]:
+    """Return the mistake that explains why an arm does not follow, None where none does, and how columns are read.
 
-    Where the arm does not follow, chance decides in which units it follows best: several are looked at.
+    Where the arm does not follow, chance decides in which units it follows best: all are looked at in which joints turn
+    and points are spread as those of an arm.
     """
     best_in = {trial.units: trial for trial in reversed(trials)}
     looked_at = 0
     for trial in sorted(best_in.values(), key=lambda trial: trial.fit.share):
         robot = seen.robot(trial.pick.arm)
+        angle, slide, _ = trial.units
+        q = readings_in(robot, _columns_of(seen, trial.pick)[0], angle, slide)[trial.rows]
+        if not _plausible(robot, q, trial):
+            continue
         looked_at += len(robot.readings)
         if looked_at > _MOST_READINGS:
             break
-        angle, slide, _ = trial.units
-        q = readings_in(robot, _columns_of(seen, trial.pick)[0], angle, slide)[trial.rows]
         data = positions(robot, q, trial.position)
-        for finding in signatures(error_model(robot), [data]):
-            if finding.severity == "error":
-                return finding.sentence.removeprefix(f"{data.where}: ").removesuffix("."), trial
-    return "", trials[0]
+        for found in named(error_model(robot), [data]):
+            if found.finding.severity == "error":
+                sentence = found.finding.sentence.removeprefix(f"{data.where}: ").removesuffix(".")
+                return replace(found, finding=replace(found.finding, sentence=sentence)), trial
+    return None, trials[0]
+
+
+def _plausible(robot: Robot, q: Array, trial: Trial) -> bool:
+    """Return whether readings (N, nr) and points are those of an arm, whatever its zeros and signs are."""
+    angles = [reading.dimension == "angle" for reading in robot.readings]
+    spreads = [float(np.linalg.norm(points - points.mean(axis=0))) for points in (trial.tips[:, :3, 3], trial.position)]
+    return bool(np.all(np.abs(q[:, angles]) < _MOST_TURNED)) and spreads[1] < _OTHERWISE_SPREAD * spreads[0]
+
+
+def _other_zeros(seen: Seen, trial: Trial, found: Named) -> AskedError:
+    """Return the question whether the readings have the zeros and signs that were found."""
+    assert found.zeros is not None, "it is asked where they were found"
+    readings = seen.robot(trial.pick.arm).readings
+    changed = found.zeros.by_name(readings)
+    question = Question(
+        "zeros",
+        f"{seen.raw.where}: {seen.titles(trial.pick.joints.columns)} in {trial.units[0]}: {found.finding.sentence}; "
+        "correct the table, or take a URDF whose joints count as it does",
+        (),
+        "--zeros FILE of calib init, which writes that URDF",
+    )
+    return AskedError(question, changed)
 
 
 def several_joints(seen: Seen, picks: Sequence[Pick]) -> AskedError:
