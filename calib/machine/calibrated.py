@@ -310,5 +310,5 @@ def _not_identified(what: str, name: str, own: Sequence[str]) -> str:
         return f"no column says in which set-up the rows were measured; known are {listed(own)}: name one by setup."
     return (
         f"{not_calibrated(what, name, own)}. Where only the base is new, such rows are judged as of a known one, with "
-        f"its base found anew: ignore the column, name setup {own[0]!r} and ask for a refit."
+        f"its base found anew: ignore the column, name setup {own[0]!r} and find its base anew (--refit-base)."
     )

@@ -27,7 +27,7 @@ _CAPTION = (
     "After the methods of ASME B89.4.22 and ISO 10360-12; no certificate. before: nominal arm, after: calibrated arm, "
 )
 _FOUND = "the probe found anew for both."
-_GIVEN = "the probe is the tool of the results; touches of a cone would find another ball."
+_GIVEN = "the probe is the tool of the results; touches of a cone (--probe) find that of another ball."
 
 
 def forecast_sheet(plan: "Plan") -> Sheet:

@@ -158,7 +158,8 @@ class Effort:
         if self._done + tests > self._most:
             raise RobotError(
                 f"{self._robot.urdf.where}: to find where its collision shapes touch takes more than {self._most} "
-                "tests of two of them; give simpler shapes, or do not judge collisions."
+                "tests of two of them; give simpler shapes, or do not judge collisions "
+                "(--no-collisions)."
             )
 
 
@@ -238,7 +239,7 @@ def self_collision(
     if len(elements) > MOST_SHAPES:
         raise RobotError(
             f"{robot.urdf.where}: has {len(elements)} collision shapes; allowed are {MOST_SHAPES}, unless collisions "
-            "are not judged."
+            "are not judged (--no-collisions)."
         )
     for link, origin, shape in elements:
         try:
@@ -311,7 +312,8 @@ class _Meshes:
         if self._spare < 0:
             raise RobotError(
                 f"{self._where}: its collision meshes, in all their scales, have more corners of triangles than their "
-                f"files have bytes, and {MOST_CORNERS} more; give simpler shapes, or do not judge collisions."
+                f"files have bytes, and {MOST_CORNERS} more; give simpler shapes, or do not judge collisions "
+                "(--no-collisions)."
             )
 
 

@@ -290,7 +290,7 @@ def test_files_of_one_row_each_are_not_put_side_by_side(folder: Path) -> None:
     files = [f"pose_{k}.json" for k in range(3)]
     said = run("import", *files, "-o", "a.csv")
     assert said.code == 1
-    assert "pose_0.json, pose_1.json: have one row each of the same columns; stack them to put" in said.err
+    assert "pose_0.json, pose_1.json: have one row each of the same columns; --stack file puts" in said.err
     assert run("import", *files, "--stack", "file", "-o", "a.csv").code == 0
     assert len(read_sheet(folder / "a.csv").rows) == 3
     assert run("import", *files, "--by", "order", "-o", "b.csv").code == 0

@@ -216,8 +216,8 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
         return _in_order(first, second, "in order each row needs one beside it")
     if by is None and len(first.rows) == len(second.rows) == 1 and first.titles == second.titles:
         raise MeasurementError(
-            f"{first.where}, {second.where}: have one row each of the same columns; stack them to put one below the "
-            "other, or join them by order."
+            f"{first.where}, {second.where}: have one row each of the same columns; --stack file puts such files "
+            "one below the other, --by order side by side."
         )
     own, other = _naming(first, by), _naming(second, by)
     ways = [
@@ -233,7 +233,7 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
     if any(_partners(words, others) != pairs for words, others in more.values()):
         naming = dict.fromkeys(first.titles[a] for a, _ in ways)
         raise MeasurementError(
-            f"{first.where}, {second.where}: rows could be joined by {listed(naming)}; say by which, or by order."
+            f"{first.where}, {second.where}: rows could be joined by {listed(naming)}; say by which, or by order (--by)."
         )
     if not ways:
         if by is not None:
