@@ -233,7 +233,7 @@ def joined(first: Sheet, second: Sheet, by: str | None = None) -> Sheet:
     if any(_partners(words, others) != pairs for words, others in more.values()):
         naming = dict.fromkeys(first.titles[a] for a, _ in ways)
         raise MeasurementError(
-            f"{first.where}, {second.where}: rows could be joined by {listed(naming)}; say by which, or by order (--by)."
+            f"{first.where}, {second.where}: rows could be joined by {listed(naming)}; say by which, or by order: --by."
         )
     if not ways:
         if by is not None:
