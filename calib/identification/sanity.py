@@ -592,7 +592,7 @@ def _of_zeros(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Mista
 
 
 def _counted_otherwise(code: str, says: str, zeros: Zeros) -> Mistake:
-    return Mistake(code, says, otherwise_read(zeros.senses, zeros.offsets), zeros=zeros)
+    return Mistake(code, says, otherwise_read(zeros.signs, zeros.offsets), zeros=zeros)
 
 
 def _of_frames(model: ErrorModel, sets: Sequence[Measurements], camera_on: CameraPlace | None) -> Iterator[Mistake]:

@@ -1,8 +1,8 @@
 """From where the readings of an arm count, and which way, where the URDF says otherwise: sought in all joints at once.
 
 A home-made arm, an encoder that was never set, a maker whose zero is an arm stretched out: its readings differ from the
-joint positions of the URDF by an angle and a sense for every joint, and one after the other none of them helps. They
-are sought together, over all senses and a grid of angles; what is best is then made finer.
+joint positions of the URDF by an angle and a sign for every joint, and one after the other none of them helps. They
+are sought together, over all signs and a grid of angles; what is best is then made finer.
 
 An arm whose readings each move one joint after the other is a product of turns about axes fixed in space (Brockett
 1984): the first half of them times the second half gives all combinations. Base and tool are free, and for a
@@ -30,7 +30,7 @@ from calib.robot.robot import Reading, Robot
 
 # Distances between the angles that are tried, the finest that gives no more than so many combinations; an arm of more
 # joints is not searched.
-_STEPS, _MOST_COMBINATIONS = (45.0 * DEG, 60.0 * DEG, 90.0 * DEG), 1_000_000
+_STEPS, _MOST_COMBINATIONS = (45.0 * DEG, 60.0 * DEG, 90.0 * DEG), 1_100_000
 # Rows that are looked at, at first, at most and at least: a linear fit has 15 unknowns, of three numbers a row.
 _FEW_ROWS, _MOST_ROWS, _FEWEST_ROWS = 12, 24, 10
 # Combinations that few rows leave, that are made finer, and how many of these stay, until a step is as small as this.
@@ -44,8 +44,9 @@ _AT_ONCE = 8000
 _AS_WELL, _MOST = 1.1, 16
 # Share of a volume by which A is a mirror; of positions in a plane it is none.
 _MIRRORED = 1e-3
-# An angle this near to a quarter turn is one, and so are all where none is further off: the rest is a joint offset.
-_NEAR, _ORDINARY = 3.0 * DEG, 8.0 * DEG
+# An angle this near to a quarter turn, in deg, is one, and so are all where none is further off: the rest is an
+# ordinary joint offset.
+_NEAR, _ORDINARY = 3.0, 8.0
 _QUARTERS = (0.0, 90.0 * DEG, -90.0 * DEG, 180.0 * DEG)
 # What tells axes and arms from rounding.
 _NEGLIGIBLE = 1e-9
@@ -55,43 +56,44 @@ _TRUE_TO = 1e-6
 @dataclass(frozen=True, slots=True, eq=False)
 @sealed
 class Zeros:
-    """How readings count: the joint of reading k stands at ``senses[k] * reading + offsets[k]``.
+    """How readings count: the joint of reading k stands at ``signs[k] * reading + offsets[k]``.
 
-    ``senses`` (nr,) are 1 and -1, ``offsets`` (nr,) in rad or m.
+    ``signs`` (nr,) are 1 and -1, ``offsets`` (nr,) in rad or m.
     """
 
-    senses: Array
+    signs: Array
     offsets: Array
 
     @property
     def changed(self) -> int:
-        """How many senses and offsets are not those of the URDF."""
-        return int(np.count_nonzero(self.senses < 0.0) + np.count_nonzero(self.offsets))
+        """How many signs and offsets are not those of the URDF."""
+        return int(np.count_nonzero(self.signs < 0.0) + np.count_nonzero(self.offsets))
 
     def by_name(self, readings: Sequence[Reading]) -> dict[str, tuple[float, float]]:
-        """Return sense and offset of the readings that count otherwise, by their names."""
-        each = zip(readings, self.senses.tolist(), self.offsets.tolist(), strict=True)
-        return {reading.name: (sense, offset) for reading, sense, offset in each if sense < 0.0 or offset}
+        """Return sign and offset of the readings that count otherwise, by their names."""
+        each = zip(readings, self.signs.tolist(), self.offsets.tolist(), strict=True)
+        return {reading.name: (sign, offset) for reading, sign, offset in each if sign < 0.0 or offset}
 
 
 def told(counted: Mapping[str, tuple[float, float]]) -> str:
-    """Return in words where joints stand that count otherwise: sense and offset by name, of :meth:`Zeros.by_name`."""
+    """Return in words where joints stand that count otherwise: sign and offset by name, of :meth:`Zeros.by_name`."""
     said = []
-    for name, (sense, offset) in counted.items():
+    for name, (sign, offset) in counted.items():
         moved = f" {'-' if offset < 0.0 else '+'} {abs(offset) / DEG:.0f} deg" if offset else ""
-        said.append(f"{shown(name)} stands at {'-' if sense < 0.0 else ''}reading{moved}")
+        said.append(f"{shown(name)} stands at {'-' if sign < 0.0 else ''}reading{moved}")
     return ", ".join(said)
 
 
 def other_zeros(robot: Robot, sets: Sequence[Measurements], *, at_base: bool, at_tool: bool) -> tuple[Zeros, ...]:
-    """Return the zeros and senses by which an arm follows positions best, the simplest of those that do so alike first.
+    """Return the zeros and signs by which an arm follows positions best, the simplest of those that do so alike first.
 
     ``at_base`` and ``at_tool``: whether base and tool absorb the zeros of the outer joints; else quarter turns of these
     are given as well. Empty where rows are too few, the arm has more than eight joints, or a reading moves several.
     Nothing says that the arm follows well.
     """
     data = max(sets, key=len)
-    mine = np.flatnonzero(data.tool == np.bincount(data.tool).argmax())
+    of_one = data.tool + len(data.tools) * data.setup
+    mine = np.flatnonzero(of_one == np.bincount(of_one).argmax())
     assert data.position is not None, "zeros are sought in positions"
     rows = mine[np.linspace(0, len(mine) - 1, min(len(mine), _MOST_ROWS)).astype(np.intp)]
     if len(rows) < _FEWEST_ROWS:
@@ -101,7 +103,7 @@ def other_zeros(robot: Robot, sets: Sequence[Measurements], *, at_base: bool, at
         return ()
     search = _Search(axes, data.readings[rows], data.position[rows])
     steps = [step for step in _STEPS if search.combinations(step) <= _MOST_COMBINATIONS]
-    if not steps:
+    if not steps or len(search.joints) < 2:
         return ()
     few = rows[np.linspace(0, len(rows) - 1, min(len(rows), _FEW_ROWS)).astype(np.intp)]
     coarse = _Search(axes, data.readings[few], data.position[few])
@@ -125,9 +127,9 @@ def _in_limits(readings: Sequence[Reading], rows: Array, zeros: Zeros, turned: M
     for k, reading in enumerate(readings):
         if offsets[k] and reading.lower is not None and reading.upper is not None:
             ways = offsets[k] + 2.0 * np.pi * np.array([0.0, -1.0, 1.0])
-            stands = zeros.senses[k] * rows[:, k, None] + ways
+            stands = zeros.signs[k] * rows[:, k, None] + ways
             offsets[k] = ways[np.sum((stands < reading.lower) | (stands > reading.upper), axis=0).argmin()]
-    return Zeros(zeros.senses, read_only(offsets))
+    return Zeros(zeros.signs, read_only(offsets))
 
 
 # ---- the arm as a product of turns
@@ -197,14 +199,14 @@ def _times(A: Array, B: Array) -> Array:
 
 
 class _Some(NamedTuple):
-    """Combinations: senses (C, nr), offsets (C, nr)."""
+    """Combinations: signs (C, nr), offsets (C, nr)."""
 
-    senses: Array
+    signs: Array
     offsets: Array
 
     def at(self, which: IntArray) -> "_Some":
         """Return the chosen ones."""
-        return _Some(self.senses[which], self.offsets[which])
+        return _Some(self.signs[which], self.offsets[which])
 
 
 def _joined(some: Sequence[_Some]) -> _Some:
@@ -236,16 +238,16 @@ class _Search:
         around = np.array(list(product((0.0, -1.0, 1.0), repeat=len(self.inner))))
         around = around[np.count_nonzero(around, axis=1) <= _AT_A_TIME]
         while (step := step / 2.0) > _FINE and self.inner:
-            fewer = max(_LEFT, len(some.senses) // 2)
-            for stay in (len(some.senses), fewer, fewer):
+            fewer = max(_LEFT, len(some.signs) // 2)
+            for stay in (len(some.signs), fewer, fewer):
                 near = self._moved(some, step * around)
                 left = self._left_of(near).reshape(-1, len(around))
                 order = np.argsort(left.min(axis=1), kind="stable")[:stay]
                 some = near.at(order * len(around) + left.argmin(axis=1)[order])
-        return _Some(some.senses[:_FOUND], _rounded(some.offsets[:_FOUND]))
+        return _Some(some.signs[:_FOUND], _rounded(some.offsets[:_FOUND]))
 
     def grid(self, step: float) -> _Some:
-        """Return the best combinations of all senses, and of angles a step apart."""
+        """Return the best combinations of all signs, and of angles a step apart."""
         half = len(self.joints) // 2
         first, last = (self._every(which, step) for which in (self.joints[:half], self.joints[half:]))
         before = self._placed(first, self.joints[:half])
@@ -261,26 +263,26 @@ class _Search:
             left.append(self._left(tips.reshape(3 * self.rows, -1, 4)))
         kept = np.argsort(np.concatenate(left), kind="stable")[:_PROMISING]
         one, other = first.at(kept // count), last.at(kept % count)
-        return _Some(one.senses * other.senses, one.offsets + other.offsets)
+        return _Some(one.signs * other.signs, one.offsets + other.offsets)
 
     def _every(self, which: Sequence[int], step: float) -> _Some:
-        """Return all senses, and all angles at a distance, of some joints."""
+        """Return all signs, and all angles at a distance, of some joints."""
         angles = step * np.arange(round(2.0 * np.pi / step))
         ways = [list(product((1.0, -1.0), angles if k in self.inner else (0.0,))) for k in which]
         chosen = np.array(list(product(*ways)))
         some = _Some(np.ones((len(chosen), len(self.axes.moving))), np.zeros((len(chosen), len(self.axes.moving))))
-        some.senses[:, which], some.offsets[:, which] = chosen[..., 0], chosen[..., 1]
+        some.signs[:, which], some.offsets[:, which] = chosen[..., 0], chosen[..., 1]
         return some
 
     def _moved(self, some: _Some, steps: Array) -> _Some:
         """Return combinations with inner joints moved by steps (S, inner), one after the other."""
         offsets = np.repeat(some.offsets, len(steps), axis=0)
         offsets[:, self.inner] += np.tile(steps, (len(some.offsets), 1))
-        return _Some(np.repeat(some.senses, len(steps), axis=0), offsets)
+        return _Some(np.repeat(some.signs, len(steps), axis=0), offsets)
 
     def alike(self, some: _Some) -> _Some:
         """Return of combinations, and of these with joints turned back or by half a turn, those that leave no more."""
-        flips = np.ones((2 ** len(self.joints), some.senses.shape[1]))
+        flips = np.ones((2 ** len(self.joints), some.signs.shape[1]))
         flips[:, self.joints] = list(product((1.0, -1.0), repeat=len(self.joints)))
         halves = np.array(list(product((0.0, np.pi), repeat=len(self.inner))))
         every = [self._moved(_Some(flips * s, flips * o), halves) for s, o in zip(*some, strict=True)]
@@ -290,13 +292,13 @@ class _Search:
 
     def _placed(self, some: _Some, which: Sequence[int]) -> Array:
         """Return the product of the motions of some joints (C, N, 3, 4)."""
-        return _chain(self.axes, some.senses[:, None] * self.readings + some.offsets[:, None], which)
+        return _chain(self.axes, some.signs[:, None] * self.readings + some.offsets[:, None], which)
 
     def _left_of(self, some: _Some) -> Array:
         """Return :meth:`_left` (C,) of combinations."""
         left = []
-        for at in range(0, len(some.senses), _AT_ONCE):
-            part = _Some(some.senses[at : at + _AT_ONCE], some.offsets[at : at + _AT_ONCE])
+        for at in range(0, len(some.signs), _AT_ONCE):
+            part = _Some(some.signs[at : at + _AT_ONCE], some.offsets[at : at + _AT_ONCE])
             tips = _times(self._placed(part, self.joints), self.axes.tip[:3])
             left.append(self._left(np.ascontiguousarray(tips.transpose(1, 2, 0, 3)).reshape(3 * self.rows, -1, 4)))
         return np.concatenate(left)
@@ -324,15 +326,16 @@ class _Search:
 
 def _rounded(offsets: Array) -> Array:
     """Return offsets (..., nr) from -180 to 180 deg: quarter turns where they are near to these, else whole degrees."""
-    quarters = 90.0 * DEG * np.round(offsets / (90.0 * DEG))
-    off = np.abs(offsets - quarters)
+    degrees = offsets / DEG
+    quarters = 90.0 * np.round(degrees / 90.0)
+    off = np.abs(degrees - quarters)
     quarter = (off < _NEAR) | np.all(off < _ORDINARY, axis=-1, keepdims=True)
-    found = np.where(quarter, quarters, DEG * np.round(offsets / DEG))
-    return -np.remainder(np.pi - found, 2.0 * np.pi) + np.pi
+    whole = np.remainder(np.where(quarter, quarters, np.round(degrees)), 360.0)
+    return np.asarray(np.where(whole > 180.0, whole - 360.0, whole) * DEG)
 
 
 def _simplest(some: _Some) -> list[Zeros]:
     """Return combinations, each once, those first that change least."""
-    offsets = np.round(_rounded(some.offsets), 12)
-    each = {(tuple(s), tuple(o)): Zeros(read_only(s), read_only(o)) for s, o in zip(some.senses, offsets, strict=True)}
+    pairs = zip(some.signs, _rounded(some.offsets), strict=True)
+    each = {(tuple(s), tuple(o)): Zeros(read_only(s), read_only(o)) for s, o in pairs}
     return sorted(each.values(), key=lambda zeros: (zeros.changed, float(np.abs(zeros.offsets).sum())))[:_MOST]

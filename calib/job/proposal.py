@@ -17,7 +17,7 @@ from calib.robot.urdf_writer import splice_zeros
 About = Literal[
     "tip", "joints", "angles", "lengths", "position", "orientation", "observes", "setup", "columns", "zeros"
 ]
-# By joint, a sense, 1 or -1, and an offset in rad or m: the joint of the URDF stands at sense * reading + offset.
+# By joint, a sign, 1 or -1, and an offset in rad or m: the joint of the URDF stands at sign * reading + offset.
 CountedZeros = Mapping[str, tuple[float, float]]
 
 
@@ -78,7 +78,7 @@ class Proposal:
     ``reasons``: one sentence for everything that was concluded. ``questions``: what could not be; ``tables`` is
     complete only when there are none. ``urdf``: as it was given. ``placements``: whether link placements are free; else
     joint offsets alone, as of few rows. ``zeros``: where the question is whether the readings have other zeros or signs
-    than the URDF, these, by joint: the sense, 1 or -1, and the offset in rad or m; see :meth:`urdf_as_read`.
+    than the URDF, these, by joint: the sign, 1 or -1, and the offset in rad or m; see :meth:`urdf_as_read`.
     """
 
     __repr__ = brief

@@ -68,8 +68,8 @@ def splice_origins(source: bytes, origins: Mapping[str, Array], where: str = "UR
 def splice_zeros(source: bytes, zeros: Mapping[str, tuple[float, float]], where: str = "URDF") -> bytes:
     """Return the URDF whose joints count as somebody reads them, and every other byte as it was.
 
-    ``zeros``: by joint name a sense, 1 or -1, and an offset in rad or m: the joint of ``source`` stands at ``sense *
-    reading + offset``. The origin takes the offset and the axis the sense; limits, and joints that follow, are put in
+    ``zeros``: by joint name a sign, 1 or -1, and an offset in rad or m: the joint of ``source`` stands at ``sign *
+    reading + offset``. The origin takes the offset and the axis the sign; limits, and joints that follow, are put in
     the new numbers. A joint at a reading is where the old one stands there.
 
     Raises RobotError when the document is no URDF or has no such joint, and OutputError when the result does not read
@@ -79,23 +79,23 @@ def splice_zeros(source: bytes, zeros: Mapping[str, tuple[float, float]], where:
     edits: list[_Edit] = []
     asked = {name: urdf.joint(name) for name in zeros}
     joints = {e.attributes["name"]: e for e in read_document(source, where).children if e.tag == "joint"}
-    for name, (sense, offset) in zeros.items():
+    for name, (sign, offset) in zeros.items():
         old, element = asked[name], joints[name]
-        asked[name] = _counted_otherwise(old, sense, offset)
+        asked[name] = _counted_otherwise(old, sign, offset)
         edits += _edits(source, element, old.origin, asked[name].origin)
-        if sense < 0.0:
+        if sign < 0.0:
             edits += _attributes(source, element, "axis", {"xyz": shortest_decimals(asked[name].axis)})
         for tag, ends in _IN_POSITIONS.items() if old.type != "continuous" else ():
             child = next((child for child in element.children if child.tag == tag), None)
             if child is not None and all(NUMBER.fullmatch(child.attributes.get(end, "0")) for end in ends):
                 lower, upper = (float(child.attributes.get(end, "0")) for end in ends)
-                values = shortest_decimals(np.array(_range(lower, upper, sense, offset))).split()
+                values = shortest_decimals(np.array(_range(lower, upper, sign, offset))).split()
                 edits += _attributes(source, element, tag, dict(zip(ends, values, strict=True)))
     for joint in urdf.joints:
         if joint.mimic is not None and joint.mimic.joint in zeros:
-            sense, offset = zeros[joint.mimic.joint]
+            sign, offset = zeros[joint.mimic.joint]
             multiplier = joint.mimic.multiplier
-            mimic = Mimic(joint.mimic.joint, sense * multiplier, joint.mimic.offset + multiplier * offset)
+            mimic = Mimic(joint.mimic.joint, sign * multiplier, joint.mimic.offset + multiplier * offset)
             asked[joint.name] = replace(joint, mimic=mimic)
             values = shortest_decimals(np.array([mimic.multiplier, mimic.offset])).split()
             edits += _attributes(
@@ -106,8 +106,8 @@ def splice_zeros(source: bytes, zeros: Mapping[str, tuple[float, float]], where:
     return spliced
 
 
-def _counted_otherwise(joint: UrdfJoint, sense: float, offset: float) -> UrdfJoint:
-    """Return the joint that is at a reading where ``joint`` is at ``sense * reading + offset``."""
+def _counted_otherwise(joint: UrdfJoint, sign: float, offset: float) -> UrdfJoint:
+    """Return the joint that is at a reading where ``joint`` is at ``sign * reading + offset``."""
     if joint.type == "prismatic":
         moved = placement(np.eye(3), offset * joint.axis)
     else:
@@ -115,13 +115,13 @@ def _counted_otherwise(joint: UrdfJoint, sense: float, offset: float) -> UrdfJoi
     lower, upper = joint.lower, joint.upper
     if joint.type != "continuous":
         ends = (-np.inf if lower is None else lower, np.inf if upper is None else upper)
-        lower, upper = (None if np.isinf(end) else end for end in _range(*ends, sense, offset))
+        lower, upper = (None if np.isinf(end) else end for end in _range(*ends, sign, offset))
     origin = read_only(joint.origin @ moved) if offset else joint.origin
-    return replace(joint, origin=origin, axis=read_only(sense * joint.axis), lower=lower, upper=upper)
+    return replace(joint, origin=origin, axis=read_only(sign * joint.axis), lower=lower, upper=upper)
 
 
-def _range(lower: float, upper: float, sense: float, offset: float) -> tuple[float, float]:
-    ends = sorted((sense * (lower - offset), sense * (upper - offset)))
+def _range(lower: float, upper: float, sign: float, offset: float) -> tuple[float, float]:
+    ends = sorted((sign * (lower - offset), sign * (upper - offset)))
     return ends[0], ends[1]
 
 

@@ -539,10 +539,10 @@ def test_what_rows_cannot_judge_is_told_before_it_is_solved(folder: Path, n: int
     assert run("calibrate", "calibration.toml", "-o", "out", "-q").code == (1 if n == 8 else 3)
 
 
-def otherwise_read(folder: Path, senses: list[float], zeros: list[float]) -> None:
-    """A table of joints that stand at ``senses * reading + zeros`` (deg)."""
+def otherwise_read(folder: Path, signs: list[float], zeros: list[float]) -> None:
+    """A table of joints that stand at ``signs * reading + zeros`` (deg)."""
     s, joints = session(), [f"A{k}" for k in range(1, 7)]
-    read = (np.degrees(s.readings) - np.array(zeros)) * np.array(senses)
+    read = (np.degrees(s.readings) - np.array(zeros)) * np.array(signs)
     (folder / "measured.csv").write_text(text([*joints, "X", "Y", "Z"], [read, 1e3 * s.position]), encoding="utf-8")
 
 
