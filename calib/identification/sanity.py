@@ -17,7 +17,7 @@ Photographs of a board are taken for the poses that they show (:mod:`calib.ident
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import combinations, islice, pairwise
+from itertools import combinations, islice, pairwise, product
 from typing import Literal
 
 import numpy as np
@@ -157,7 +157,7 @@ def named(model: ErrorModel, measurements: Sequence[Measurements]) -> tuple[Name
         setups = dict.fromkeys(setup for data in sets for setup in data.setups)
         loaded = [data.loaded(model.urdf_robot) for data in sets]
         # One arm has one zero for each joint, in whatever set-up: sought once, and only where nothing else explains.
-        zeros = cache(lambda: () if camera_on or not _seen(loaded) else tuple(_of_zeros(model, loaded)))
+        zeros = cache(lambda: () if camera_on else tuple(_of_zeros(model, loaded)))
         sought = (
             _named(model.at(setup), [data.at(setup) for data in loaded if setup in data.setups], camera_on, zeros)
             for setup in setups
@@ -235,15 +235,23 @@ def _named(
         # A tool of each table's own explains no less.
         tables = [turned, *(trial for trial in tables if _CLEARLY * trial.counted < turned.miss)]
     tried: list[_Trial] = []
+    explained: list[_Trial] = []
     for scope, trials, most in _searches(model, sets, tables, camera_on, zeros if missed > _LARGE * reach else tuple):
         if not trials:
             continue
         best, *others = _likeliest(trials)
         # Readings that are made too small explain positions that hardly change: a robot that stands still does so too.
         still = _still([best.mistake.mend(sets[i]) for i in scope]) if _seen(sets) else np.inf
-        if missed > _CLEARLY * best.counted and best.miss < min(most * reach, still):
-            return (Named(_explained(model, sets, missed, best, others), best.mistake.zeros),)
+        # What is found later is less typical, and must explain clearly more.
+        before = explained[0].counted if explained else missed
+        if before > _CLEARLY * best.counted and best.miss < min(most * reach, still):
+            explained = [best, *others]
         tried.append(best)
+        if explained and explained[0].miss < _GOOD * reach:
+            break
+    if explained:
+        best, *others = explained
+        return (Named(_explained(model, sets, missed, best, others), best.mistake.zeros),)
     if missed <= _LARGE * reach:
         return ()
     return (Named(_unexplained(model, sets, missed, min(tried, key=_counted, default=None))),)
@@ -581,14 +589,26 @@ def _of_readings(readings: Sequence[Reading], *, units: bool) -> Iterator[Mistak
 
 
 def _of_zeros(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[Mistake]:
-    """Yield signs and zeros of several joints that bring the robot near; those of one have been tried."""
+    """Yield signs and zeros of several joints that bring the robot near; those of one have been tried.
+
+    Of what cannot be searched, such as touches, two zeros of an elbow.
+    """
     at_base, at_tool = model.base == "pose", model.tool != "fixed"
     if any(data.orientation is not None for data in sets):
         at_tool = model.tool == "pose"
     readings = model.robot.readings
-    for zeros in other_zeros(model.robot, sets, at_base=at_base, at_tool=at_tool):
+    found = other_zeros(model.robot, sets, at_base=at_base, at_tool=at_tool) if _seen(sets) else ()
+    for zeros in found or _two_zeros(_tried_one_by_one(model, sets)):
         says = f"the readings have other zeros or signs than the URDF: {told(zeros.by_name(readings))}"
         yield _counted_otherwise(_OTHER_ZEROS, says, zeros)
+
+
+def _two_zeros(readings: Sequence[Reading]) -> Iterator[Zeros]:
+    """Yield two neighbouring zeros of quarter turns: an arm that is drawn straight, and at zero has a bent elbow."""
+    ones = np.eye(len(readings))
+    for i, (a, b) in enumerate(pairwise(readings)):
+        for first, second in product((90.0, -90.0), repeat=2) if a.dimension == b.dimension == "angle" else ():
+            yield Zeros(read_only(np.ones(len(readings))), read_only(DEG * (first * ones[i] + second * ones[i + 1])))
 
 
 def _counted_otherwise(code: str, says: str, zeros: Zeros) -> Mistake:

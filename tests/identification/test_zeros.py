@@ -1,6 +1,7 @@
 """Zeros and signs of any number of joints are found from where an independent machine was seen."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 import calib
 from calib.identification.sanity import named, otherwise_read, signatures
 from calib.identification.zeros import other_zeros
+from calib.job.inputs import load
 from tests.identification.test_sanity import Lab
 from tests.support import machines
 from tests.support.machines import Array
@@ -115,3 +117,22 @@ def test_few_rows_and_joints_that_follow_are_not_searched() -> None:
     readings = np.random.default_rng(0).uniform(-1.0, 1.0, (20, len(robot.readings)))
     data = calib.positions(robot, readings, robot.tips(readings)[:, :3, 3])
     assert other_zeros(robot, [data], at_base=True, at_tool=True) == ()
+
+
+def test_one_of_two_zeros_that_explains_a_part_does_not_hide_the_other() -> None:
+    """That of the shoulder alone lowered the miss more than threefold, and alone was named."""
+    lab = Lab("ur10", seed=3)
+    lab.true = replace(lab.true, tools={"tool": machines.pose((0.02, 0.01, 0.0))})
+    data = read_by(lab, np.array([1.0, 1.0, 1.0, 1.0, -1.0, 1.0]), np.array([0.0, 90.0, 0.0, 0.0, 0.0, 0.0]))
+    (found,) = named(lab.model(), [data])
+    assert found.zeros is not None, found.finding.sentence
+    assert found.zeros.by_name(lab.robot.readings).keys() >= {"shoulder_lift_joint", "wrist_2_joint"}
+
+
+def test_an_elbow_of_an_arm_whose_joints_follow_others() -> None:
+    """Two zeros of quarter turns are tried where all cannot be searched."""
+    inputs = load(Path(__file__).resolve().parents[2] / "robots/irb2400/calibration.toml")
+    data = inputs.identify[2]
+    elbow = np.radians([0.0, 90.0, -90.0, 0.0, 0.0, 0.0])
+    (finding,) = signatures(inputs.model, [replace(data, readings=data.readings - elbow)])
+    assert finding.code == "other-zeros", finding.sentence
