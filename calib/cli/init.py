@@ -30,7 +30,11 @@ def init(
     ] = False,
     zeros: Annotated[
         Path | None,
-        written("FILE", "Where readings have other zeros or signs, write a URDF with theirs, and use it.", "--zeros"),
+        written(
+            "FILE",
+            "Where readings have other zeros or signs, write a URDF that counts as they do, and use it.",
+            "--zeros",
+        ),
     ] = None,
     said: Said = NOTHING_SAID,
     telling: Telling = IN_WORDS,

@@ -1,6 +1,7 @@
 """What contradicts itself in a job or its tables: refused with a sentence, or found doubtful."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from calib.identification.identify import matching
 from calib.identification.initialisation.problem import initial_problem, refuse_unplaced
 from calib.identification.observability import rank_findings
 from calib.identification.relations import refuse_unrelated
-from calib.identification.sanity import signatures
+from calib.identification.sanity import named
 from calib.identification.targets import refuse_unmeasured, shapes
 from calib.job.schema import Job, MeasurementsSection
 from calib.job.tables import model_sigmas
@@ -28,6 +29,8 @@ from calib.robot.robot import Robot
 # Every level is a fit of its own rows, and another one of all rows, of base and tool, to judge it by. A table of few
 # rows takes as long as one of a hundred, and so many joint terms as much again as all that is found without them.
 _MOST_ROWS_OF_LEVELS, _MOST_TIMES, _FEWEST_OF_TABLE, _TERMS = 150_000, 20, 100, 50
+# What to do about readings that count otherwise.
+_AS_READ = "Correct the table, or take a URDF whose joints count as it does: calib init, with --zeros FILE, writes it."
 
 
 def refuse_levels(
@@ -273,7 +276,11 @@ def not_held_out(job: Job, hashes: Mapping[str, str], path: Path) -> list[Findin
 def signatures_of(model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> tuple[Finding, ...]:
     """Return the typical mistake that the data show, if any; raises JobError where rows do not fit the robot."""
     with naming(path, JobError):
-        return signatures(model, chosen)
+        found = named(model, chosen)
+    return tuple(
+        replace(one.finding, sentence=f"{one.finding.sentence} {_AS_READ}") if one.zeros else one.finding
+        for one in found
+    )
 
 
 def findings_of_rank(model: ErrorModel, chosen: Sequence[Measurements], path: Path) -> tuple[Finding, ...]:

@@ -597,3 +597,14 @@ def test_python_has_the_zeros_and_the_urdf(folder: Path) -> None:
     again = calib.measuring.propose(folder / "as_read.urdf", ["measured.csv"])
     assert (again.questions, again.zeros) == ((), None)
     assert again.urdf_as_read() == found.urdf_as_read()
+
+
+def test_a_job_of_readings_that_count_otherwise_says_what_to_do(folder: Path) -> None:
+    otherwise_read(folder, [1.0] * 6, [0.0] * 6)
+    assert run("init", UR10, "measured.csv", "--yes").code == 0
+    otherwise_read(folder, [1.0, 1.0, -1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 90.0, 0.0, 0.0])
+    said = " ".join(run("check", "calibration.toml").err.split())
+    assert "'elbow_joint' stands at -reading, 'wrist_1_joint' stands at reading + 90 deg:" in said
+    assert said.endswith(
+        "Correct the table, or take a URDF whose joints count as it does: calib init, with --zeros FILE, writes it."
+    )
