@@ -127,7 +127,7 @@ COUNTS: Mapping[str, int] = MappingProxyType(
         "robot.mesh_roots": 100,
         "robot.coupling": 200,
         "robot.coupling.drivers": 200,
-        "robot.loop": 50,
+        "robot.loop": 12,
         "error_model.harmonic_orders": 20,
         "setups": 100,
         "tools": 100,
@@ -150,6 +150,8 @@ MOST_TARGETS = 20_000
 MOST_TOUCHED = 500
 # Of targets that relations join, which are not eliminated.
 MOST_RELATED, MOST_RELATIONS = 50, COUNTS["relations"]
+# Closed loops of an arm: what follows the machine at a row grows with their number, and with its square in memory.
+MOST_LOOPS = COUNTS["robot.loop"]
 # Joint terms of a machine: all harmonics of 200 joints in 20 orders.
 MOST_TERMS = 8000
 # Of names and globs, wherever a list of them may stand.

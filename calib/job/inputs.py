@@ -93,7 +93,7 @@ def load(path: Path, progress: Progress = lambda _: None, job: Job | None = None
         sets.append(data if section.hold_out is None else tables.shared_out(data, section, job))
     seen = any(data.camera is not None for data in sets)
     sets, optics = tables.with_optics(job, sets, prints, progress) if seen else (sets, ())
-    refusals.refuse_unusable_rows(robot, model, sets)
+    refusals.refuse_unusable_rows(robot, model, sets, path)
     chosen = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "identify")
     held_out = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "validate")
     nodes = tuple(data for data, section in zip(sets, sections, strict=True) if section.use == "nodes")

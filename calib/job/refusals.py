@@ -31,6 +31,9 @@ from calib.robot.robot import Robot
 _MOST_ROWS_OF_LEVELS, _MOST_TIMES, _FEWEST_OF_TABLE, _TERMS = 150_000, 20, 100, 50
 # What to do about readings that count otherwise.
 _AS_READ = "Correct the table, or take a URDF whose joints count as it does: calib init, with --zeros FILE, writes it."
+# A closed loop is solved at every row, and one of several that move each other takes as long as all of them alone. So
+# few as palletizers have may have any rows.
+_MOST_ROWS_OF_LOOPS, _FEW_LOOPS = 30_000, 3
 
 
 def refuse_levels(
@@ -121,12 +124,20 @@ def with_positions(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
     return tuple(data for data in sets if data.position is not None)
 
 
-def refuse_unusable_rows(robot: Robot, model: ErrorModel, sets: Sequence[Measurements]) -> None:
+def refuse_unusable_rows(robot: Robot, model: ErrorModel, sets: Sequence[Measurements], path: Path) -> None:
     """Refuse rows of any use, also those that only judge, at which the machine of a job cannot be evaluated.
 
-    Raises JobError where a closed loop of the robot cannot be closed, MeasurementError where a table has no column that
-    a joint term needs.
+    Raises JobError for too many rows of many closed loops, PoseError where one cannot be closed, MeasurementError where
+    a table has no column that a joint term needs.
     """
+    if len(robot.loops) > _FEW_LOOPS:
+        rows, together = sum(len(end.readings) for data in sets for end in data.ends), robot.loops_together
+        if rows > (most := _MOST_ROWS_OF_LOOPS // sum(n * n for n in together)):
+            moving = f", of which {max(together)} move each other," if max(together) > 1 else ""
+            raise JobError(
+                f"{path}: robot.loop: the tables have {rows} rows; allowed beside {len(robot.loops)} closed "
+                f"loops{moving} are {most}. Leave out rows, or loops that move nothing that is measured."
+            )
     for data in sets:
         for end in data.ends:
             refuse_lacking(model.robot, end.conditions, data.where)

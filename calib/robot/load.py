@@ -13,6 +13,7 @@ from calib.foundations.arguments import checked
 from calib.foundations.arrays import Array, read_only
 from calib.foundations.csv_text import refuse_formula
 from calib.foundations.errors import RobotError
+from calib.foundations.ranges import MOST_LOOPS
 from calib.foundations.words import harmless, shown
 from calib.robot import deviation
 from calib.robot.gravity import STANDARD_GRAVITY, Load, Payload, checked_gravity, checked_payload
@@ -63,6 +64,8 @@ def load_robot(
         for joint in _path(document, base, _known_link(document, link, f"loop {loop.name!r}:"), f"loop {loop.name!r}")
     ]
     joints = list(dict.fromkeys(joints))
+    if len(loops) > MOST_LOOPS:
+        raise RobotError(f"{document.where}: the arm has {len(loops)} closed loops; allowed are {MOST_LOOPS}.")
     if len(joints) > MOST_JOINTS:
         raise RobotError(
             f"{document.where}: the arm and its loops have {len(joints)} joints; allowed are {MOST_JOINTS}."

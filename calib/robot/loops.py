@@ -10,6 +10,9 @@ Newton's method may find another; there the way is followed in small steps, from
 Only the joints behind the last one that carries both frames matter to a loop: these are walked here, all rows at once.
 A turn z of such a joint at p, on the way to B, changes the gap by ``S R_A^T (z x (p_B - p))``; on the way to A it turns
 the directions too, and the change is the same with the other sign, whatever the gap is.
+
+Loops that no passive joint of another one moves are solved without it: what is asked of an arm of many grows with their
+number, and not with its third power.
 """
 
 from collections.abc import Sequence
@@ -103,15 +106,65 @@ class Closure:
     """
 
     def __init__(self, s: Skeleton, loops: Sequence[Loop], homes: Array) -> None:
-        self._homes = homes
-        self._loops, self._types, self._passive = tuple(loops), s.tree.types, passive_joints(loops)
-        self._rings = [_ring(s, loop, self._passive) for loop in loops]
+        self._passive = passive_joints(loops)
+        self._systems = [LoopsTogether(s, [loops[i] for i in own], homes) for own in together(s, loops)]
 
     def close(self, q: Array) -> Array:
         """Return joint positions (N, nj) with the passive joints solved, from q (N, nj) as start.
 
-        Raises PoseError naming the first row whose loop cannot close or is at a dead centre.
+        Raises PoseError naming the loops that move each other of which some cannot close or are at a dead centre, and
+        the first row where they do not.
         """
+        for system in self._systems:
+            q = system.close(q)
+        return q
+
+    def closes(self, q: Array) -> BoolArray:
+        """Return in which rows :meth:`close` finds joint positions from q (N, nj)."""
+        found = np.ones(len(q), dtype=bool)
+        for system in self._systems:
+            found[found] = system.closes(q[found])
+        return found
+
+    def determinants(self, q: Array) -> Array:
+        """Return the determinants (N,) of the closure by the passive joints, where :meth:`close` finds them from q.
+
+        q (N, nj); nan in rows where it does not. Each is 0 at a dead centre, whose two sides differ in sign, and to be
+        compared with its own kind alone.
+        """
+        found = self._systems[0].determinants(q)
+        for system in self._systems[1:]:
+            found *= system.determinants(q)
+        return found
+
+    def rates(self, q: Array, by_position: Array) -> Array:
+        """Return how the passive joints follow deviations and active joints, at closed positions q (N, nj).
+
+        (N, k, 6 n + a): per change of the n joints' deviations, then of parameters that move the positions of the
+        joints by ``by_position`` (nj, a), where rows of passive joints do not count.
+        """
+        if len(self._systems) == 1:
+            return self._systems[0].rates(q, by_position)
+        found: Array | None = None
+        for system in self._systems:
+            own = system.rates(q, by_position)
+            if found is None:
+                found = np.empty((len(q), len(self._passive), own.shape[2]))
+            found[:, [self._passive.index(j) for j in system.passive]] = own
+        assert found is not None, "a closure has loops"
+        return found
+
+
+class LoopsTogether:
+    """Loops that move each other, by their ``passive`` joints; the rest as in :class:`Closure`."""
+
+    def __init__(self, s: Skeleton, loops: Sequence[Loop], homes: Array) -> None:
+        self._homes = homes
+        self._loops, self._types, self.passive = tuple(loops), s.tree.types, passive_joints(loops)
+        self._rings = [_ring(s, loop, self.passive) for loop in loops]
+
+    def close(self, q: Array) -> Array:
+        """Return what :meth:`Closure.close` does, and raise as it does."""
         q, dead, open_ = self._sought(q)
         self._refuse(dead, "is at a dead centre: its joints may go two ways")
         # Without a home, nothing but the search from where the coupling puts the passive joints has been tried.
@@ -119,7 +172,7 @@ class Closure:
         return q
 
     def closes(self, q: Array) -> BoolArray:
-        """Return in which rows :meth:`close` finds joint positions from q (N, nj)."""
+        """Return what :meth:`Closure.closes` does."""
         _, dead, open_ = self._sought(q)
         return ~(dead | open_)
 
@@ -147,7 +200,7 @@ class Closure:
 
     def _change(self, found: Array, q: Array) -> Array:
         """Return how far (N,) the passive joints of found (N, nj) are from those of q."""
-        return np.asarray(np.max(np.abs((found - q)[:, self._passive]), axis=1, initial=0.0))
+        return np.asarray(np.max(np.abs((found - q)[:, self.passive]), axis=1, initial=0.0))
 
     def _along(self, home: tuple[Array, Array], q: Array) -> tuple[Array, BoolArray]:
         """Return joint positions (N, nj) on the branch of home, and which rows (N,) are reached.
@@ -160,7 +213,7 @@ class Closure:
         while len(going := np.flatnonzero((gone < 1.0) & (stretch >= _LEAST_STRETCH))):
             ahead = np.minimum(1.0, gone[going] + stretch[going])
             start = home[0] + ahead[:, None] * whole[going]
-            start[:, self._passive] = (at[going] + (ahead - gone[going])[:, None] * whole[going])[:, self._passive]
+            start[:, self.passive] = (at[going] + (ahead - gone[going])[:, None] * whole[going])[:, self.passive]
             found, dead, open_ = self._from(start, _STEPS_OF_ONE, _NEAR)
             good = ~(dead | open_)
             # Branches meet at dead centres: near one, both are near where the search began.
@@ -181,7 +234,7 @@ class Closure:
         for _ in range(most):
             stuck, step = self._step(q, still)
             dead[left[stuck]] = True
-            q[:, self._passive] -= step
+            q[:, self.passive] -= step
             strayed = self._change(q, begun[left]) >= farthest
             open_[left[strayed]] = True
             going = ~(stuck | strayed) & (np.max(np.abs(step), axis=1, initial=0.0) >= _LAST_STEP)
@@ -194,11 +247,7 @@ class Closure:
         return found, dead, open_
 
     def determinants(self, q: Array) -> Array:
-        """Return the determinants (N,) of the closure by the passive joints, where :meth:`close` finds them from q.
-
-        q (N, nj); nan in rows where it does not. Each is 0 at a dead centre, whose two sides differ in sign, and to be
-        compared with its own kind alone.
-        """
+        """Return what :meth:`Closure.determinants` does, of these loops."""
         q, dead, open_ = self._sought(q)
         found, closed = np.full(len(q), np.nan), ~(dead | open_)
         found[closed] = self._turning(q[closed])
@@ -228,26 +277,22 @@ class Closure:
         return np.asarray(np.max(np.abs(self._gaps(q, still)[0]), axis=1) > _OPEN)
 
     def rates(self, q: Array, by_position: Array) -> Array:
-        """Return how the passive joints follow deviations and active joints, at closed positions q (N, nj).
-
-        (N, k, 6 n + a): per change of the n joints' deviations, then of parameters that move the positions of the
-        joints by ``by_position`` (nj, a), where rows of passive joints do not count.
-        """
+        """Return what :meth:`Closure.rates` does, of these loops."""
         driven = by_position.copy()
-        driven[self._passive] = 0.0
+        driven[self.passive] = 0.0
         by_twists = [self._by_twist(ring, q) for ring in self._rings]
-        slope = np.zeros((len(q), len(self._passive), len(self._passive)))
+        slope = np.zeros((len(q), len(self.passive), len(self.passive)))
         row = 0
         for ring, by_twist in zip(self._rings, by_twists, strict=True):
             rows = slice(row, row := row + len(ring.closes))
             for i, j in enumerate(ring.joints):
-                if j in self._passive:
-                    slope[:, rows, self._passive.index(j)] = by_twist[:, :, 6 * i + self._own(j)]
-        inverse, row, found = -np.linalg.inv(slope), 0, []
+                if j in self.passive:
+                    slope[:, rows, self.passive.index(j)] = by_twist[:, :, 6 * i + self._own(j)]
+        inverse, row, found = -np.linalg.inv(slope), 0, np.zeros((1, 1))
         for ring, by_twist in zip(self._rings, by_twists, strict=True):
             shares = inverse[:, :, row : (row := row + len(ring.closes))] @ by_twist
-            found.append(shares.reshape(-1, by_twist.shape[2]) @ self._follows(ring, driven))
-        return np.asarray(sum(found)).reshape(*slope.shape[:2], found[0].shape[1])
+            found = found + shares.reshape(-1, by_twist.shape[2]) @ self._follows(ring, driven)
+        return found.reshape(*slope.shape[:2], found.shape[1])
 
     def _own(self, joint: int) -> int:
         """Return which component of a twist is a joint's own motion, which commutes with a change of its placement."""
@@ -285,12 +330,12 @@ class Closure:
             parts = [slice(side.still, None) for side in ring.sides]
             walks = [self._walk(side, part, q, at) for side, part, at in zip(ring.sides, parts, start, strict=True)]
             a, b = (_placed(*walk[-1], side.end) for walk, side in zip(walks, ring.sides, strict=True))
-            moved = np.zeros((3, len(self._passive), len(q)))
+            moved = np.zeros((3, len(self.passive), len(q)))
             for side, part, walk in zip(ring.sides, parts, walks, strict=True):
                 for j, (R, p) in zip(side.joints[part], walk, strict=False):
-                    if j in self._passive:
+                    if j in self.passive:
                         by_joint = R[2] if self._types[j] == "prismatic" else _cross(R[2], b.p - p)
-                        moved[:, self._passive.index(j)] = side.sign * by_joint
+                        moved[:, self.passive.index(j)] = side.sign * by_joint
             S = a.R[ring.closes]
             values.append(np.einsum("mcn,cn->nm", S, b.p - a.p))
             slopes.append(np.einsum("mcn,ckn->nmk", S, moved))
@@ -315,17 +360,35 @@ class Closure:
             raise PoseError(int(np.argmax(rows)), reason, np.flatnonzero(rows).tolist())
 
 
+def together(s: Skeleton, loops: Sequence[Loop]) -> list[list[int]]:
+    """Return the numbers of loops that are to be solved at once: where passive joints of one are on the way of another.
+
+    In order of the first of each.
+    """
+    passive = [set(loop.passive) for loop in loops]
+    on_way = [set(_between(s, loop)[0]) | set(_between(s, loop)[1]) for loop in loops]
+    found: list[list[int]] = []
+    for i in range(len(loops)):
+        joined = [own for own in found if any(passive[k] & on_way[i] or passive[i] & on_way[k] for k in own)]
+        merged = sorted([i, *(k for own in joined for k in own)])
+        found = [own for own in found if own not in joined] + [merged]
+    return sorted(found)
+
+
+def _between(s: Skeleton, loop: Loop) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the moving joints from the last one that carries both frames of a loop to each of them."""
+    a, b = (way(s.tree.parents, s.end_frame(end).joint) for end in loop.ends)
+    common = sum(one == other for one, other in zip(a, b, strict=False))
+    return a[common:], b[common:]
+
+
 def _ring(s: Skeleton, loop: Loop, passive: Sequence[int]) -> _Ring:
-    frames = [s.end_frame(end) for end in loop.ends]
-    ways = [way(s.tree.parents, frame.joint) for frame in frames]
-    common = sum(a == b for a, b in zip(*ways, strict=False))
     sides: list[_Side] = []
     rows: list[Array] = []
     tails: list[Array] = []
-    for end, frame, own, sign in zip(loop.ends, frames, ways, (-1.0, 1.0), strict=True):
-        joints = own[common:]
+    for end, joints, sign in zip(loop.ends, _between(s, loop), (-1.0, 1.0), strict=True):
         still = next((i for i, j in enumerate(joints) if j in passive), len(joints))
-        sides.append(_Side(joints, s.tree.placements[list(joints)], frame.placement, still, sign))
+        sides.append(_Side(joints, s.tree.placements[list(joints)], s.end_frame(end).placement, still, sign))
         by_joint, tail = derivative(s, end)
         rows += [by_joint[6 * j : 6 * j + 6] for j in joints]
         tails.append(tail)

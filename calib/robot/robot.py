@@ -26,7 +26,7 @@ from calib.robot.deviation import Motions
 from calib.robot.flexures import Mechanism, mechanism
 from calib.robot.gravity import STANDARD_GRAVITY, Holding, Load, Payload, Weights, checked_gravity, checked_payload
 from calib.robot.kinematics import Joints, Kinematics, MovingType, Regressor, followed
-from calib.robot.loops import Closure, Loop, passive_joints
+from calib.robot.loops import Closure, Loop, passive_joints, together
 from calib.robot.skeleton import Outline, Segment
 from calib.robot.terms import JointTerm, kind_of
 from calib.robot.transmission import Bases, Flexures, TermShares, Transmission, flexures
@@ -352,6 +352,12 @@ class Robot:
     def passive(self) -> tuple[int, ...]:
         """Numbers, among the moving joints, of those that loops determine."""
         return tuple(passive_joints(self.loops))
+
+    @property
+    def loops_together(self) -> list[int]:
+        """How many loops are solved at once, for each group of loops that move each other."""
+        m = self.mechanism
+        return [len(own) for own in together(Outline(m.segments).skeleton(np.zeros((len(m.segments), 6))), m.loops)]
 
     @property
     def flexures(self) -> Flexures:

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from calib.foundations.ranges import COUNTS, MOST_RELATED, MOST_TERMS, MOST_TOUCHED
+from calib.foundations.ranges import COUNTS, MOST_LOOPS, MOST_RELATED, MOST_TERMS, MOST_TOUCHED
 from calib.job.stated import load_arm
 from calib.machine.gaussian import GaussianResiduals, Kernel, gaussian_bytes
 from calib.robot.load import load_robot
@@ -675,6 +675,34 @@ def _nowhere(folder: Path, size: int) -> None:
     table = np.array([row.split(",") for row in rows], dtype=np.float64)
     table[:, -3:] = rng.uniform(-900.0, 900.0, (len(table), 3))
     _table(path, header, table, 1)
+
+
+def _struts(n: int) -> Callable[[Path, int], None]:
+    """Fill the table with rows of an arm on whose first joint n struts stand, each a closed loop."""
+
+    def write(folder: Path, size: int) -> None:
+        _different()(folder, size)
+        joints, loops = "", ""
+        for k in range(n):
+            joints += (
+                f'<link name="p{k}"/><link name="s{k}"/><link name="h{k}"/>'
+                f'<joint name="p{k}" type="continuous"><origin xyz="0.3 {k / 100} 0"/><parent link="base_link"/>'
+                f'<child link="p{k}"/><axis xyz="0 0 1"/></joint>'
+                f'<joint name="s{k}" type="prismatic"><origin xyz="-0.2 0 0"/><parent link="p{k}"/><child link="s{k}"/>'
+                '<axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+                f'<joint name="h{k}" type="fixed"><origin xyz="0.1 0 0"/><parent link="link_1"/>'
+                f'<child link="h{k}"/></joint>'
+            )
+            loops += (
+                f'[[robot.loop]]\nname = "l{k}"\nframes = ["h{k}", "s{k}"]\ncloses = ["x", "y"]\n'
+                f'passive = ["p{k}", "s{k}"]\n'
+            )
+        _edited(folder / "arm_cmm.urdf", "</robot>", f"{joints}</robot>")
+        _edited(folder / "calibration.toml", "[error_model]", f"{loops}[error_model]")
+        # What the struts say of themselves is nothing.
+        _edited(folder / "calibration.toml", 'placements = "all"', 'placements = ["joint_*"]')
+
+    return write
 
 
 def _parallelogram(folder: Path, size: int) -> None:
@@ -1599,6 +1627,8 @@ HOSTILE: dict[str, Hostile] = {
         _different((("[error_model]", f'[error_model]\nharmonics = "all"\nharmonic_orders = {list(range(1, 21))}'),))
     ),
     "a loss among noise": Hostile(_nowhere),
+    "rows of three loops": Hostile(_struts(3)),
+    "rows of many loops": Hostile(_struts(MOST_LOOPS)),
     "bearings and torques": Hostile(_giving_way),
     "loads of many set-ups": Hostile(_loaded),
     "a process of many rows": _rows(lambda _: "", "", (("[error_model]", _PROCESS),)),

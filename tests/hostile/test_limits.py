@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.foundations.errors import CalibError, JobError, MeasurementError, RobotError
-from calib.foundations.ranges import COUNTS, MOST_NAMES, MOST_RELATED, MOST_TARGETS, MOST_TOUCHED
+from calib.foundations.ranges import COUNTS, MOST_LOOPS, MOST_NAMES, MOST_RELATED, MOST_TARGETS, MOST_TOUCHED
 from calib.identification import sanity
 from calib.identification.error_model import Known, error_model
 from calib.identification.identify import identify
@@ -31,6 +31,7 @@ from calib.robot.links import arm_of, link_placements
 from calib.robot.load import load_robot
 from calib.robot.mesh_counts import MOST_CORNERS, MOST_PARTS, counts
 from calib.robot.mesh_files import parse_mesh
+from calib.robot.robot import ClosedLoop
 from calib.robot.urdf import MOST_JOINTS, MOST_LINKS, Urdf, parse_urdf, read_urdf
 from scripts.development import hostile_files
 from scripts.development.hostile_files import HOSTILE, fill
@@ -96,6 +97,37 @@ def test_unknowns_of_several_tables_end() -> None:
         sets.append(read_measurements(table, robot, "socket", sigma=1e-5))
     with pytest.raises(MeasurementError, match=r"the measurements have 20002 targets together; allowed are 20000\."):
         identify(error_model(robot, offsets="all"), sets)
+
+
+@pytest.mark.parametrize(("together", "most"), [("", 2500), (", of which 2 move each other,", 2142)])
+def test_rows_of_many_loops_end(tmp_path: Path, together: str, most: int) -> None:
+    fill("rows of many loops", tmp_path, 75 * 2510)
+    table, job = tmp_path / "identification.csv", tmp_path / "calibration.toml"
+    if together:  # the second strut stands on the first one
+        urdf = tmp_path / "arm_cmm.urdf"
+        text = urdf.read_text(encoding="utf-8")
+        pin = '<origin xyz="0.3 0.01 0"/><parent link="base_link"/>'
+        assert pin in text
+        urdf.write_text(text.replace(pin, '<origin xyz="0 0.01 0"/><parent link="p0"/>'), encoding="utf-8")
+    lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
+    table.write_text("".join(lines[: 2 + most]), encoding="utf-8")
+    with pytest.raises(JobError) as caught:
+        load(job)
+    assert str(caught.value) == (
+        f"{job}: robot.loop: the tables have {1 + most} rows; allowed beside 12 closed loops{together} are {most}. "
+        "Leave out rows, or loops that move nothing that is measured."
+    )
+
+
+def test_loops_of_an_arm_end(tmp_path: Path) -> None:
+    fill("rows of many loops", tmp_path, 1000)
+    loops = [
+        ClosedLoop(f"l{k}", (f"h{k % 12}", f"s{k % 12}"), ("x", "y"), (f"p{k % 12}", f"s{k % 12}"))
+        for k in range(MOST_LOOPS + 1)
+    ]
+    assert len(load_robot(tmp_path / "arm_cmm.urdf", "probe", loops=loops[:-1]).loops) == MOST_LOOPS
+    with pytest.raises(RobotError, match=rf"arm_cmm\.urdf: the arm has 13 closed loops; allowed are {MOST_LOOPS}\.$"):
+        load_robot(tmp_path / "arm_cmm.urdf", "probe", loops=loops)
 
 
 def test_touched_targets_of_a_job_end(tmp_path: Path) -> None:

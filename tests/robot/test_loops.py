@@ -1,5 +1,6 @@
 """Closed loops: against plain trigonometry, along both chains, and every derivative against finite differences."""
 
+import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
@@ -17,7 +18,7 @@ from calib.machine.model_file import model_json
 from calib.machine.of_fit import machine_of
 from calib.machine.urdf import calibrated_urdf
 from calib.robot.load import load_robot, with_document
-from calib.robot.loops import Closure, at_dead_centre
+from calib.robot.loops import LoopsTogether, at_dead_centre
 from calib.robot.robot import ClosedLoop, Coupling, Deviations, Robot, TipModel
 from calib.robot.sampling import closing, least_determinant, random_readings
 from calib.robot.urdf import parse_urdf
@@ -68,13 +69,28 @@ TWO_LOOPS = four_bar_urdf(out=0.08).replace(
 )
 SECOND = ClosedLoop("second", ("slide_2", "end_2"), ("x", "z"), ("rod_2", "slide_2"))
 
+# A strut from the lower arm to what the parallelogram turns: these two move each other.
+THREE_LOOPS = TWO_LOOPS.replace(
+    "</robot>",
+    tree(
+        ("lower", "strut_pin", "revolute", "0.1 0 0.3", "0 1 0"),
+        ("strut_pin", "strut", "prismatic", "0 0 0.4", "0 0 1"),
+        ("elbow", "hook", "fixed", "0.2 0 0", "0 0 0"),
+    )
+    .removeprefix('<robot name="loops"><link name="lower"/>')
+    .replace('<link name="elbow"/>', ""),
+)
+STRUT = ClosedLoop("strut", ("hook", "strut"), ("x", "z"), ("strut_pin", "strut"))
+
 
 def machine(name: str) -> tuple[Robot, Array]:
     """A machine with loops, and ten rows of its readings, well off the dead centres."""
     rng = np.random.default_rng(11)
-    if name in ("parallelogram", "out of plane", "two loops"):
+    if name in ("parallelogram", "out of plane", "two loops", "three loops"):
         if name == "two loops":
             robot = load(TWO_LOOPS, "slide_2", PARALLELOGRAM, SECOND)
+        elif name == "three loops":
+            robot = load(THREE_LOOPS, "slide_2", STRUT, SECOND, PARALLELOGRAM)
         else:
             robot = load(four_bar_urdf(out=0.08 if name == "out of plane" else 0.0), "tip", PARALLELOGRAM)
         readings = rng.uniform(-1.0, 1.0, (10, len(robot.readings)))
@@ -88,7 +104,7 @@ def machine(name: str) -> tuple[Robot, Array]:
     return load(SLIDER_CRANK, "tip", CROSSHEAD), rng.uniform(-3.0, 3.0, (10, 1))
 
 
-MACHINES = ("parallelogram", "out of plane", "five-bar", "slider-crank", "two loops")
+MACHINES = ("parallelogram", "out of plane", "five-bar", "slider-crank", "two loops", "three loops")
 
 
 def deviations(robot: Robot, length: float, angle: float, seed: int = 5) -> Deviations:
@@ -450,11 +466,41 @@ def test_a_slider_that_its_rod_cannot_reach_names_its_row() -> None:
     )
 
 
-def test_two_loops_are_named_together() -> None:
-    robot, readings = machine("two loops")
+@pytest.mark.parametrize(
+    ("name", "together", "named"),
+    [("two loops", [1, 1], "'parallelogram'"), ("three loops", [2, 1], "'strut', 'parallelogram'")],
+)
+def test_loops_that_move_each_other_are_named_together(name: str, together: list[int], named: str) -> None:
+    robot, readings = machine(name)
+    assert robot.loops_together == together
     names = [reading.name for reading in robot.readings]
     readings[4, names.index("crank")] = readings[4, names.index("lower")] + 0.5 * np.pi
-    assert str(refused(robot, readings)).startswith("row 4: loop 'parallelogram', 'second' is at a dead centre")
+    assert str(refused(robot, readings)).startswith(f"row 4: loop {named} is at a dead centre")
+
+
+def test_what_loops_take_grows_with_their_number() -> None:
+    """Fifty struts on an arm, solved at once, took 20 GB at 500 rows."""
+    n = 12
+    joints = [("base", "lower", "revolute", "0 0 0.3", "0 1 0"), ("lower", "upper", "revolute", "0 0 0.7", "0 1 0")]
+    for k in range(n):
+        joints += [
+            ("lower", f"pin{k}", "revolute", f"0.2 {k / 100} 0.3", "0 1 0"),
+            (f"pin{k}", f"strut{k}", "prismatic", "0 0 0.4", "0 0 1"),
+            ("upper", f"hook{k}", "fixed", f"0.2 {k / 100} 0.05", "0 0 1"),
+        ]
+    loops = [ClosedLoop(f"s{k}", (f"hook{k}", f"strut{k}"), ("x", "z"), (f"pin{k}", f"strut{k}")) for k in range(n)]
+    readings = np.random.default_rng(2).uniform(-0.5, 0.5, (300, 2))
+
+    def most(count: int) -> int:
+        model = TipModel(load(tree(*joints), "upper", *loops[:count]))
+        tracemalloc.start()
+        model.motion(readings)
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found
+
+    # Twice as many loops have twice as many passive joints, each of which follows twice as many deviations.
+    assert most(12) < 5.0 * most(6)
 
 
 @pytest.mark.parametrize("name", ["parallelogram", "five-bar", "slider-crank"])
@@ -671,13 +717,13 @@ def test_readings_that_cannot_be_closed_are_given_up_soon(monkeypatch: pytest.Mo
     """Those that a search for commands tries far beyond all limits: the way there is not walked in small steps."""
     robot, _ = machine("five-bar")
     model, looks = TipModel(robot), [0]
-    gaps = Closure._gaps
+    gaps = LoopsTogether._gaps
 
-    def counted(self: Closure, q: Array, starts: object) -> tuple[Array, Array]:
+    def counted(self: LoopsTogether, q: Array, starts: object) -> tuple[Array, Array]:
         looks[0] += len(q)
         return gaps(self, q, starts)
 
-    monkeypatch.setattr(Closure, "_gaps", counted)
+    monkeypatch.setattr(LoopsTogether, "_gaps", counted)
     readings = np.stack([np.linspace(2.9, 3.3, 9), np.linspace(0.2, -0.2, 9)], axis=1)
     assert not model.closes(readings).any()
     assert looks[0] <= 100 * len(readings)
