@@ -308,9 +308,11 @@ def _even_axis(values: Array, reading: Reading, at: Sequence[str]) -> Array:
     # Jitter of one node is far smaller than the steps between nodes, of which the usual one is the median.
     starts = np.concatenate([[0], np.flatnonzero(gaps > _OFF_GRID * span) + 1]) if span > 0.0 else np.zeros(1, int)
     if len(starts) < 2 or span <= _OFF_GRID * _OFF_GRID:
+        at_all = _said(values[0], reading.dimension)
+        ends = " and ".join(_said(value, reading.dimension) for value in ordered[[0, -1]])
+        stands = f"anywhere between {ends}" if span > _OFF_GRID else f"at {at_all} in all rows"
         raise MeasurementError(
-            f"{at[0]}: {reading.name} stands at {_said(values[0], reading.dimension)} in all rows; "
-            "a joint of the grid must have at least two nodes."
+            f"{at[0]}: {reading.name} stands {stands}; a joint of the grid must have at least two nodes."
         )
     levels = np.array([np.median(level) for level in np.split(ordered, starts[1:])])
     counts = np.diff(np.append(starts, len(ordered)))

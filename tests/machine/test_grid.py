@@ -211,7 +211,15 @@ def test_rows_that_are_no_grid() -> None:
     assert changed(put(0, 2, 0.8)).startswith("n.csv:2: j3 stands at 45.8366 deg")
     again = changed(lambda rows, errors: (np.vstack([rows, rows[5]]), np.vstack([errors, errors[5]])))
     assert again == "n.csv:65: the node j1 -60 deg, slide 300 mm, j4 30 deg appears twice, first at n.csv:7."
-    assert "must have at least two nodes" in changed(lambda rows, errors: (rows[:3], errors[:3]))
+    assert changed(lambda rows, errors: (rows[:3], errors[:3])) == (
+        "n.csv:2: j1 stands at -60 deg in all rows; a joint of the grid must have at least two nodes."
+    )
+    many = np.tile(nodes()[0], (2001, 1))
+    many[:, 0] = np.linspace(-1.0, 1.0, 2001)
+    assert changed(lambda rows, errors: (many, np.zeros((2001, 3)))) == (
+        "n.csv:2: j1 stands anywhere between -57.2958 deg and 57.2958 deg; "
+        "a joint of the grid must have at least two nodes."
+    )
     assert "must be finite numbers" in changed(put(0, 0, np.nan))
     assert "must have the shapes (N, 4) and (N, 3)" in changed(lambda rows, errors: (rows[:, :3], errors))
     assert "must have the shapes" in changed(lambda rows, errors: (rows[:0], errors[:0]))
