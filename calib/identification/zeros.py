@@ -15,6 +15,7 @@ What base or tool absorbs is not sought: the zeros of the first and the last joi
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -110,26 +111,37 @@ def other_zeros(robot: Robot, sets: Sequence[Measurements], *, at_base: bool, at
     # Quarter turns are the likeliest of all, and a grid of thirds has none of them.
     near = _joined([coarse.grid(step) for step in dict.fromkeys((steps[0], steps[-1]))])
     found = _simplest(coarse.alike(search.refined(near, steps[0])))
-    ends = [
-        k for k, free in ((search.joints[0], at_base), (search.joints[-1], at_tool)) if not free and axes.turning[k]
-    ]
-    return tuple(
-        _in_limits(robot.readings, data.readings, zeros, dict(zip(ends, turns, strict=True)))
+    ends = [(k, free) for k, free in ((search.joints[0], at_base), (search.joints[-1], at_tool)) if axes.turning[k]]
+    known, absorbed = ([k for k, free in ends if free is which] for which in (False, True))
+    each = [
+        _in_limits(robot.readings, data.readings, zeros, dict(zip(known, turns, strict=True)), absorbed)
         for zeros in found
-        for turns in product(_QUARTERS, repeat=len(ends))
-    )
+        for turns in product(_QUARTERS, repeat=len(known))
+    ]
+    # Of those that positions do not tell apart, limits tell which ones the arm can have.
+    return tuple(zeros for zeros, _ in sorted(each, key=itemgetter(1)))
 
 
-def _in_limits(readings: Sequence[Reading], rows: Array, zeros: Zeros, turned: Mapping[int, float]) -> Zeros:
-    """Return zeros with those of some joints set, and a whole turn added where more ``rows`` are within limits then."""
-    offsets = zeros.offsets.copy()
+def _in_limits(
+    readings: Sequence[Reading], rows: Array, zeros: Zeros, turned: Mapping[int, float], absorbed: Sequence[int]
+) -> tuple[Zeros, int]:
+    """Return zeros with those of some joints set, and how many numbers of ``rows`` are beyond limits then.
+
+    A whole turn is added where fewer are, and to the zeros that base or tool absorb what brings all within.
+    """
+    offsets, beyond = zeros.offsets.copy(), 0
     offsets[list(turned)] = list(turned.values())
     for k, reading in enumerate(readings):
-        if offsets[k] and reading.lower is not None and reading.upper is not None:
-            ways = offsets[k] + 2.0 * np.pi * np.array([0.0, -1.0, 1.0])
-            stands = zeros.signs[k] * rows[:, k, None] + ways
-            offsets[k] = ways[np.sum((stands < reading.lower) | (stands > reading.upper), axis=0).argmin()]
-    return Zeros(zeros.signs, read_only(offsets))
+        if reading.lower is None or reading.upper is None:
+            continue
+        stands = zeros.signs[k] * rows[:, k, None]
+        ways = offsets[k] + 2.0 * np.pi * np.array([0.0, -1.0, 1.0] if offsets[k] else [0.0])
+        if k in absorbed:
+            middle = (reading.lower - stands.min() + reading.upper - stands.max()) / 2.0
+            ways = np.array([*ways, *_QUARTERS, round(middle / DEG) * DEG])
+        out = np.sum((stands + ways < reading.lower) | (stands + ways > reading.upper), axis=0)
+        offsets[k], beyond = ways[out.argmin()], beyond + int(out.min())
+    return Zeros(zeros.signs, read_only(offsets)), beyond
 
 
 # ---- the arm as a product of turns
