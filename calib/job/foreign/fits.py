@@ -46,8 +46,8 @@ _KEPT_FOR_A_STRAY, _MOST_STRAYS = 10, 5
 _LOOKED_AT = 12
 # In so many readings, of all units together, a mistake is sought; it takes 0.1 s of each.
 _MOST_READINGS = 30
-# Beyond this angle, in rad, no joint turns; so many times as far as the tips, no points of the same arm are spread,
-# whatever its zeros are.
+# Beyond this angle, in rad, no joint turns; so many times more, or less, than the tips, no points of the same arm are
+# spread, whatever its zeros are.
 _MOST_TURNED, _OTHERWISE_SPREAD = 8.0 * np.pi, 5.0
 # With fewer rows nothing is tried, nor with readings in rad or points in m beyond this.
 _FEWEST_TRIED, _LARGEST = 2, 1e4
@@ -418,7 +418,7 @@ def _plausible(robot: Robot, q: Array, trial: Trial) -> bool:
     """Return whether readings (N, nr) and points are those of an arm, whatever its zeros and signs are."""
     angles = [reading.dimension == "angle" for reading in robot.readings]
     spreads = [float(np.linalg.norm(points - points.mean(axis=0))) for points in (trial.tips[:, :3, 3], trial.position)]
-    return bool(np.all(np.abs(q[:, angles]) < _MOST_TURNED)) and spreads[1] < _OTHERWISE_SPREAD * spreads[0]
+    return bool(np.all(np.abs(q[:, angles]) < _MOST_TURNED)) and max(spreads) < _OTHERWISE_SPREAD * min(spreads)
 
 
 def _other_zeros(seen: Seen, trial: Trial, found: Named) -> AskedError:
