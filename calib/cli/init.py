@@ -51,6 +51,8 @@ def init(
     refuse_taken(output)
     if zeros is not None:
         refuse_taken(zeros)
+        if zeros.absolute() == output.absolute():
+            raise typer.BadParameter(f"{zeros} is to be the job, too; name another file for the URDF.")
     with ExitStack() as files:
         robot, warnings = files.enter_context(_expanded(Path(urdf), output)) if xacro else (urdf, ())
         as_read = None if zeros is None else partial(_as_read, zeros, files)

@@ -576,9 +576,12 @@ def test_no_urdf_is_written_where_none_is_needed_or_no_job_is(folder: Path) -> N
     assert f"as_read.urdf is not written: the readings have the zeros and signs of {UR10}" in " ".join(said.out.split())
     otherwise_read(folder, [1.0, 1.0, 1.0, -1.0, 1.0, 1.0], [0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
     (folder / "there.urdf").write_text("mine", encoding="utf-8")
-    for options in (["--zeros", "there.urdf"], ["--zeros", "new.urdf", "-o", "new.urdf"]):
+    for options, code, sentence in (
+        (["--zeros", "there.urdf"], 1, "there.urdf: already exists"),
+        (["--zeros", "new.urdf", "-o", "new.urdf"], 2, "new.urdf is to be the job, too; name another file"),
+    ):
         said = run("init", UR10, "measured.csv", "-o", "job.toml", *options, "--yes")
-        assert said.code == 1 and "Traceback" not in said.err
+        assert (said.code, sentence in " ".join(said.err.split())) == (code, True), said.err
         assert not (folder / "new.urdf").exists() and not (folder / "job.toml").exists()
     assert (folder / "there.urdf").read_text(encoding="utf-8") == "mine"
 
