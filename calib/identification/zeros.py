@@ -9,7 +9,7 @@ An arm whose readings each move one joint after the other is a product of turns 
 combination that is a linear fit (:func:`calib.identification.sanity.signatures` has the equation), of which only four
 columns change: hundreds of thousands take a second.
 
-What base or tool absorbs is not sought: the zeros of the first and the last joint.
+What base or tool absorbs is not sought: the zeros of the first and the last joint. They are chosen by the limits.
 """
 
 from collections.abc import Mapping, Sequence
