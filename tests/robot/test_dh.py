@@ -266,6 +266,10 @@ HEADER = "joint, type, a [mm], d [mm], alpha [deg], theta [deg]\n"
         ),
         (HEADER + "j, revolut, 1, 2, 3, 4\n", "t.csv:2: column 'type': 'revolut' is not one of revolute, prismatic, f"),
         (HEADER + ", revolute, 1, 2, 3, 4\n", "t.csv:2: column 'joint': the cell is empty."),
+        (
+            HEADER + "j\x1f1, revolute, 1, 2, 3, 4\n",
+            r"t.csv:2: column 'joint': 'j\x1f1' has a character that cannot be printed.",
+        ),
         (HEADER + "j, fixed, 1, 2, 3, 4\n", "t.csv: DH table: no joint moves; a table needs a revolute or a prismatic"),
         (HEADER + ROW * 2, "t.csv: DH table: joint 'j' has more than one row."),
         (HEADER + '"j, revolute\n', "t.csv:2: a quote is not closed, or something follows it."),

@@ -171,6 +171,8 @@ def _row(line: _Line, units: dict[str, Unit | None], number: int) -> DhRow:
             values[name] = _si(cell, unit)
     if not words["joint"]:
         raise RobotError(f"{at}: column 'joint': the cell is empty.")
+    if not words["joint"].isprintable():  # written, it would be another name
+        raise RobotError(f"{at}: column 'joint': {shown(words['joint'])} has a character that cannot be printed.")
     refuse_formula(words["joint"], at)
     refuse_other(words["type"], get_args(RowType), f"{at}: column 'type'", RobotError)
     try:
