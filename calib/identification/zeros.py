@@ -48,7 +48,8 @@ _MIRRORED = 1e-3
 # An angle this near to a quarter turn, in deg, is one, and so are all where none is further off: the rest is an
 # ordinary joint offset.
 _NEAR, _ORDINARY = 3.0, 8.0
-_QUARTERS = (0.0, 90.0 * DEG, -90.0 * DEG, 180.0 * DEG)
+_QUARTER = 90.0
+_QUARTERS = (0.0, _QUARTER * DEG, -_QUARTER * DEG, 2.0 * _QUARTER * DEG)
 # What tells axes and arms from rounding.
 _NEGLIGIBLE = 1e-9
 _TRUE_TO = 1e-6
@@ -339,11 +340,11 @@ class _Search:
 def _rounded(offsets: Array) -> Array:
     """Return offsets (..., nr) from -180 to 180 deg: quarter turns where they are near to these, else whole degrees."""
     degrees = offsets / DEG
-    quarters = 90.0 * np.round(degrees / 90.0)
+    quarters = _QUARTER * np.round(degrees / _QUARTER)
     off = np.abs(degrees - quarters)
     quarter = (off < _NEAR) | np.all(off < _ORDINARY, axis=-1, keepdims=True)
-    whole = np.remainder(np.where(quarter, quarters, np.round(degrees)), 360.0)
-    return np.asarray(np.where(whole > 180.0, whole - 360.0, whole) * DEG)
+    whole = np.remainder(np.where(quarter, quarters, np.round(degrees)), 4.0 * _QUARTER)
+    return np.asarray(np.where(whole > 2.0 * _QUARTER, whole - 4.0 * _QUARTER, whole) * DEG)
 
 
 def _simplest(some: _Some) -> list[Zeros]:

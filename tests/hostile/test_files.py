@@ -138,7 +138,7 @@ def test_a_file_that_changes_before_its_hash_is_taken(folder: Path, name: str, m
         (folder / name).write_bytes((folder / name).read_bytes() + b"\n")
         return []
 
-    monkeypatch.setattr("calib.job.refusals.signatures", meanwhile)
+    monkeypatch.setattr("calib.job.refusals.named", meanwhile)
     sentence = f"Error: {name}: has changed while it was read; run again when it is whole.\n"
     assert run("check", JOB) == (1, "", sentence)
 
@@ -150,7 +150,7 @@ def test_a_urdf_that_changes_is_known_by_what_was_read(folder: Path, monkeypatch
         (folder / URDF).write_bytes(b"<robot/>")
         return []
 
-    monkeypatch.setattr("calib.job.refusals.signatures", meanwhile)
+    monkeypatch.setattr("calib.job.refusals.named", meanwhile)
     assert load(folder / JOB).hashes[URDF] == before
 
 

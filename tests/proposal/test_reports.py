@@ -137,11 +137,11 @@ def test_waypoints_of_two_kinds_are_told_apart_by_words_that_the_message_names(f
         lines.append(f"  global Waypoint_{k}_p=p[{', '.join(f'{x:.9f}' for x in p)}, .1, .2, .3]")
         lines.append(f"  global Waypoint_{k}_q=[{', '.join(f'{x:.9f}' for x in q)}]")
     (folder / "a.script").write_text("\n".join([*lines, "end", ""]))
-    with pytest.raises(calib.MeasurementError, match=r"\(line 4, --topic q\)"):
+    with pytest.raises(calib.MeasurementError, match=r"\(line 4, topic q\)"):
         read_sheet("a.script")
     found = np.array([row[1:] for row in read_sheet("a.script", "q").rows], dtype=float)
     assert np.allclose(found, s.readings, atol=1e-8)
-    with pytest.raises(calib.MeasurementError, match=r"line 2, --topic set_tcp\)"):
+    with pytest.raises(calib.MeasurementError, match=r"line 2, topic set_tcp\)"):
         read_sheet("a.script", "p")
 
 
