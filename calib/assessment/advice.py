@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from calib.foundations.arguments import checked
-from calib.foundations.arrays import Array, read_only
+from calib.foundations.arrays import Array, evenly_spread, read_only
 from calib.foundations.units import DISPLAY, MRAD
 from calib.foundations.words import noun
 from calib.identification.error_model import ErrorModel
@@ -195,7 +195,7 @@ def _tried(
     """Return, for every direction, the remedies that show it."""
     frames = initial_frames(model, sets)
     most = max(min(_MOST_ROWS, _MOST_OF_ALL // len(sets)), 2 * _FEWEST_ROWS)
-    sets = [data.subset(np.linspace(0, len(data) - 1, min(len(data), most)).astype(np.intp)) for data in sets]
+    sets = [data.subset(evenly_spread(len(data), most)) for data in sets]
     names = [parameter.name for parameter in model.parameters(sets[0].tools, sets[0].setups)]
     found: list[list[str]] = [[] for _ in null_space]
     for remedy in ("orientation", "points"):

@@ -95,7 +95,7 @@ def verdict(
             of_rows.resolution(rounding(parts, fit.model.robot), fit),
         )
         priors, scale = contradicted(fit, parts), of_arm.common_scale(fit, parts)
-        explained = of_errors.explained(fit, decisive)
+        explained, lengths = of_errors.explained(fit, decisive), of_arm.lengths(fit, scale)
         told = (
             of_fit.convergence(fit),
             explained,
@@ -114,20 +114,19 @@ def verdict(
             of_rows.frozen(own),
             of_rows.in_line(fit, own),
             of_arm.joints(fit, own),
-            of_arm.lengths(fit, scale),
+            lengths,
             of_arm.tool_and_base(fit),
             of_arm.lens(fit),
         )
         stated = StatedNumbers(residue, parts, machine)
         wrong = any(check.name in _OF_CAUSES for check in told if not check.passed)
-        lengths_hold = all(check.passed for check in told if check.name == "lengths")
         # Of another robot's data a fit finds large offsets too, beside other lengths.
-        named = of_arm.naming_zeros(fit, findings, explained.statistic) if lengths_hold else findings
+        named = of_arm.naming_zeros(fit, findings, explained.statistic) if lengths.passed else findings
         every = (*told, of_arm.warnings((*named, *priors, *stated.contradicted(wrong=wrong))))
         inexact = stamps(parts, fit.machine.frames.scalars)
         alone = unchecked(residue, "tool")
         resting = stated.unchecked()
-        if lengths_hold:
+        if lengths.passed:
             resting = (*resting, *of_arm.as_by_scale(fit, scale))
     harmless = (one.sentence for one in priors if one.code == HARMLESS)
     shown = (*shown_range(fit, own, held_out), *unshown(fit), *harmless, *resting, *(one.sentence for one in inexact))

@@ -59,7 +59,7 @@ def init(
         ask = not (yes or telling.as_json or telling.quiet)
         found = proposed(robot, data, said.answers(), ask=ask, as_read=as_read)
         if zeros is not None and found.urdf != str(zeros):
-            warnings = (*warnings, f"{zeros} is not written: the readings have the zeros and signs of {robot}")
+            warnings = (*warnings, f"{zeros} is not written: the readings have the zeros and signs of {robot}.")
         with telling.progress(STEPS_OF_LOADING + 1) as say:
             looked = looked_at(loaded(found, output, say), say)
         write_new(output, found.job(output.absolute().parent))

@@ -46,6 +46,11 @@ def evenly(count: int, most: int) -> slice:
     return slice(None, None, max(1, -(-count // most)))
 
 
+def evenly_spread(count: int, most: int) -> IntArray:
+    """Return which of ``count`` things to take: all, or ``most`` spread evenly, the first and the last among them."""
+    return np.linspace(0, count - 1, min(count, most)).astype(np.intp)
+
+
 def evenly_in_runs(count: int, most: int, run: int) -> IntArray:
     """Return which of ``count`` things to take: all, or of more than ``most`` runs of neighbours, spread evenly."""
     if count <= most:

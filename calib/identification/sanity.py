@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from calib.foundations import linear, rigid
-from calib.foundations.arrays import Array, read_only
+from calib.foundations.arrays import Array, evenly_spread, read_only
 from calib.foundations.errors import PoseError
 from calib.foundations.units import DEG, INCH, MM
 from calib.foundations.words import counted, shown
@@ -237,10 +237,12 @@ def _named(
         tables = [turned, *(trial for trial in tables if _CLEARLY * trial.counted < turned.miss)]
     tried: list[_Trial] = []
     explained: list[_Trial] = []
-    for scope, trials, most in _searches(model, sets, tables, camera_on, zeros if missed > _LARGE * reach else tuple):
+    for scope, trials, most, same in _searches(
+        model, sets, tables, camera_on, zeros if missed > _LARGE * reach else tuple
+    ):
         if not trials:
             continue
-        best, *others = _likeliest(trials, _SAME_ZEROS if trials[0].mistake.code == _OTHER_ZEROS else _SAME)
+        best, *others = _likeliest(trials, same)
         # Readings that are made too small explain positions that hardly change: a robot that stands still does so too.
         still = _still([best.mistake.mend(sets[i]) for i in scope]) if _seen(sets) else np.inf
         # What is found later is less typical, and must explain clearly more.
@@ -264,17 +266,19 @@ def _searches(
     tables: Sequence[_Trial],
     camera_on: CameraPlace | None,
     zeros: Callable[[], Sequence[Mistake]],
-) -> Iterator[tuple[tuple[int, ...], list[_Trial], float]]:
-    """Yield the tables in which a mistake may be, its trials, and the share of the reach that it may leave at most.
+) -> Iterator[tuple[tuple[int, ...], list[_Trial], float, float]]:
+    """Yield the tables in which a mistake may be, its trials, what they may leave, and what is the same.
 
-    ``tables``: trials of what tables have of their own. ``zeros``: those of several joints, when asked for.
+    May leave: a share of the reach; the same is what leaves up to so many times as much. ``tables``: trials of what
+    tables have of their own. ``zeros``: those of several joints, when asked for.
     """
     every = tuple(range(len(sets)))
-    yield every, [*_trials(model, sets, every, camera_on), *tables], _EXPLAINED
+    yield every, [*_trials(model, sets, every, camera_on), *tables], _EXPLAINED, _SAME
     for scope in _alone(model, sets):
-        yield scope, [*_trials(model, sets, scope, camera_on), *tables], _EXPLAINED
+        yield scope, [*_trials(model, sets, scope, camera_on), *tables], _EXPLAINED, _SAME
     by_zeros = _trials_of(model, sets, every, zeros())
-    yield every, by_zeros, _EXPLAINED_BY_ZEROS * (_spare(model, sets) if by_zeros and _seen(sets) else 1.0)
+    most = _EXPLAINED_BY_ZEROS * (_spare(model, sets) if by_zeros and _seen(sets) else 1.0)
+    yield every, by_zeros, most, _SAME_ZEROS
 
 
 def _spare(model: ErrorModel, sets: Sequence[Measurements]) -> float:
@@ -299,7 +303,7 @@ def _alone(model: ErrorModel, sets: Sequence[Measurements]) -> Iterator[tuple[in
 def _spread_rows(data: Measurements, sets: Sequence[Measurements]) -> Measurements:
     """Return at most a fair share of ``_MOST_ROWS`` rows, spread evenly."""
     share = max(1, _MOST_ROWS * len(data) // sum(map(len, sets)))
-    return data if len(data) <= share else data.subset(np.linspace(0, len(data) - 1, share).astype(np.intp))
+    return data if len(data) <= share else data.subset(evenly_spread(len(data), share))
 
 
 def _positions(data: Measurements) -> Array:
@@ -574,7 +578,7 @@ def _of_readings(readings: Sequence[Reading], *, units: bool) -> Iterator[Mistak
     ones = np.eye(len(readings))
     for reading, one in zip(readings, ones, strict=True):
         says = f"{reading.name!r} is read with the wrong sign"
-        yield _counted_otherwise("flipped-sign", says, Zeros(read_only(1.0 - 2.0 * one), read_only(0.0 * one)))
+        yield _counted_otherwise("flipped-sign", says, Zeros(1.0 - 2.0 * one, 0.0 * one))
     for i, j in combinations(range(len(readings)), 2):
         if readings[i].dimension == readings[j].dimension:
             a, b = readings[i].name, readings[j].name
@@ -591,7 +595,7 @@ def _of_readings(readings: Sequence[Reading], *, units: bool) -> Iterator[Mistak
     for reading, one in zip(readings, ones, strict=True):
         for degrees in ("+90", "-90", "180") if reading.dimension == "angle" else ():
             says = f"{reading.name!r} is read from another zero and needs {degrees} deg"
-            zeros = Zeros(read_only(np.ones_like(one)), read_only(float(degrees) * DEG * one))
+            zeros = Zeros(np.ones_like(one), float(degrees) * DEG * one)
             yield _counted_otherwise("shifted-zero", says, zeros)
     for dimension, factor, says in _READING_UNITS if units else ():
         its = np.array([reading.dimension == dimension for reading in readings])
@@ -619,7 +623,7 @@ def _two_zeros(readings: Sequence[Reading]) -> Iterator[Zeros]:
     ones = np.eye(len(readings))
     for i, (a, b) in enumerate(pairwise(readings)):
         for first, second in product((90.0, -90.0), repeat=2) if a.dimension == b.dimension == "angle" else ():
-            yield Zeros(read_only(np.ones(len(readings))), read_only(DEG * (first * ones[i] + second * ones[i + 1])))
+            yield Zeros(np.ones(len(readings)), DEG * (first * ones[i] + second * ones[i + 1]))
 
 
 def _counted_otherwise(code: str, says: str, zeros: Zeros) -> Mistake:

@@ -20,14 +20,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.foundations.arrays import Array, IntArray, read_only
+from calib.foundations.arrays import Array, IntArray, evenly_spread
 from calib.foundations.errors import PoseError
-from calib.foundations.rigid import inverse
+from calib.foundations.rigid import inverse, rotation_about
 from calib.foundations.sealing import sealed
 from calib.foundations.units import DEG
 from calib.foundations.words import shown
 from calib.measurement.measurements import Measurements
 from calib.robot.robot import Reading, Robot
+from calib.robot.urdf_writer import CountedZeros
 
 # Distances between the angles that are tried, the finest that gives no more than so many combinations; an arm of more
 # joints is not searched.
@@ -71,13 +72,13 @@ class Zeros:
         """How many signs and offsets are not those of the URDF."""
         return int(np.count_nonzero(self.signs < 0.0) + np.count_nonzero(self.offsets))
 
-    def by_name(self, readings: Sequence[Reading]) -> dict[str, tuple[float, float]]:
+    def by_name(self, readings: Sequence[Reading]) -> CountedZeros:
         """Return sign and offset of the readings that count otherwise, by their names."""
         each = zip(readings, self.signs.tolist(), self.offsets.tolist(), strict=True)
         return {reading.name: (sign, offset) for reading, sign, offset in each if sign < 0.0 or offset}
 
 
-def told(counted: Mapping[str, tuple[float, float]]) -> str:
+def told(counted: CountedZeros) -> str:
     """Return in words where joints stand that count otherwise: sign and offset by name, of :meth:`Zeros.by_name`."""
     said = []
     for name, (sign, offset) in counted.items():
@@ -97,7 +98,7 @@ def other_zeros(robot: Robot, sets: Sequence[Measurements], *, at_base: bool, at
     of_one = data.tool + len(data.tools) * data.setup
     mine = np.flatnonzero(of_one == np.bincount(of_one).argmax())
     assert data.position is not None, "zeros are sought in positions"
-    rows = mine[np.linspace(0, len(mine) - 1, min(len(mine), _MOST_ROWS)).astype(np.intp)]
+    rows = mine[evenly_spread(len(mine), _MOST_ROWS)]
     if len(rows) < _FEWEST_ROWS:
         return ()
     axes = _axes(robot)
@@ -107,7 +108,7 @@ def other_zeros(robot: Robot, sets: Sequence[Measurements], *, at_base: bool, at
     steps = [step for step in _STEPS if search.combinations(step) <= _MOST_COMBINATIONS]
     if not steps or len(search.joints) < 2:
         return ()
-    few = rows[np.linspace(0, len(rows) - 1, min(len(rows), _FEW_ROWS)).astype(np.intp)]
+    few = rows[evenly_spread(len(rows), _FEW_ROWS)]
     coarse = _Search(axes, data.readings[few], data.position[few])
     # Quarter turns are the likeliest of all, and a grid of thirds has none of them.
     near = _joined([coarse.grid(step) for step in dict.fromkeys((steps[0], steps[-1]))])
@@ -142,7 +143,7 @@ def _in_limits(
             ways = np.array([*ways, *_QUARTERS, round(middle / DEG) * DEG])
         out = np.sum((stands + ways < reading.lower) | (stands + ways > reading.upper), axis=0)
         offsets[k], beyond = ways[out.argmin()], beyond + int(out.min())
-    return Zeros(zeros.signs, read_only(offsets)), beyond
+    return Zeros(zeros.signs, offsets), beyond
 
 
 # ---- the arm as a product of turns
@@ -198,8 +199,7 @@ def _motion(axes: _Axes, k: int, position: Array) -> Array:
         T = np.broadcast_to(np.eye(3, 4), (*position.shape, 3, 4)).copy()
         T[..., 3] = position[..., None] * w
         return T
-    W = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-    R = np.eye(3) + np.sin(position)[..., None, None] * W + (1.0 - np.cos(position))[..., None, None] * (W @ W)
+    R = rotation_about(w, position)
     return np.concatenate([R, (p - R @ p)[..., None]], axis=-1)
 
 
@@ -350,5 +350,5 @@ def _rounded(offsets: Array) -> Array:
 def _simplest(some: _Some) -> list[Zeros]:
     """Return combinations, each once, those first that change least."""
     pairs = zip(some.signs, _rounded(some.offsets), strict=True)
-    each = {(tuple(s), tuple(o)): Zeros(read_only(s), read_only(o)) for s, o in pairs}
+    each = {(tuple(s), tuple(o)): Zeros(s, o) for s, o in pairs}
     return sorted(each.values(), key=lambda zeros: (zeros.changed, float(np.abs(zeros.offsets).sum())))[:_MOST]

@@ -1,6 +1,5 @@
 """What was found in files of others, why, and what is asked; and the job file that it makes."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,13 +11,11 @@ from calib.job.toml_text import seen_from, toml_text
 from calib.measurement.kinds import Kind
 from calib.measurement.table import Columns
 from calib.robot.robot import Robot
-from calib.robot.urdf_writer import splice_zeros
+from calib.robot.urdf_writer import CountedZeros, splice_zeros
 
 About = Literal[
     "tip", "joints", "angles", "lengths", "position", "orientation", "observes", "setup", "columns", "zeros"
 ]
-# By joint, a sign, 1 or -1, and an offset in rad or m: the joint of the URDF stands at sign * reading + offset.
-CountedZeros = Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,8 @@ START_TAG = re.compile(r"""<[^\s/>]+(?P<attributes>(?:\s+[^\s=/>]+\s*=\s*(?:"[^"
 ATTRIBUTE = re.compile(r"""(?P<name>[^\s=]+)\s*=\s*(?P<quote>["'])(?P<value>.*?)(?P=quote)""", re.ASCII | re.DOTALL)
 
 
+# By joint, a sign, 1 or -1, and an offset in rad or m: the joint of the URDF stands at sign * reading + offset.
+CountedZeros = Mapping[str, tuple[float, float]]
 # What else of a joint is said in its positions: the ends of ranges.
 _IN_POSITIONS = {"limit": ("lower", "upper"), "safety_controller": ("soft_lower_limit", "soft_upper_limit")}
 
@@ -65,7 +67,7 @@ def splice_origins(source: bytes, origins: Mapping[str, Array], where: str = "UR
     return spliced
 
 
-def splice_zeros(source: bytes, zeros: Mapping[str, tuple[float, float]], where: str = "URDF") -> bytes:
+def splice_zeros(source: bytes, zeros: CountedZeros, where: str = "URDF") -> bytes:
     """Return the URDF whose joints count as somebody reads them, and every other byte as it was.
 
     ``zeros``: by joint name a sign, 1 or -1, and an offset in rad or m: the joint of ``source`` stands at ``sign *

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.foundations.arrays import evenly, evenly_in_runs, evenly_ranked, number_in_kind
+from calib.foundations.arrays import evenly, evenly_in_runs, evenly_ranked, evenly_spread, number_in_kind
 
 
 @pytest.mark.parametrize("n", [0, 1, 7, 500])
@@ -31,3 +31,9 @@ def test_values_are_taken_over_their_ranks_with_the_largest() -> None:
     values = np.array([3.0, 9.0, 1.0, 7.0, 5.0])
     assert evenly_ranked(values, 5).tolist() == [0, 1, 2, 3, 4]
     assert values[evenly_ranked(values, 3)].tolist() == [9.0, 1.0, 5.0]
+
+
+def test_spread_are_all_or_some_with_both_ends() -> None:
+    assert evenly_spread(3, 5).tolist() == [0, 1, 2]
+    assert evenly_spread(11, 3).tolist() == [0, 5, 10]
+    assert evenly_spread(0, 3).tolist() == []

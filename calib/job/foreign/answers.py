@@ -9,12 +9,13 @@ from calib.foundations.sealing import sealed
 from calib.foundations.units import MM
 from calib.identification.followed import Followed
 from calib.job.chains import Chain
-from calib.job.proposal import About, CountedZeros, Question
+from calib.job.proposal import About, Question
 from calib.measurement.kinds import Kind
 from calib.measurement.raw import RawColumn, split_title
 from calib.measurement.roles import Joints, Orientation, Point
 from calib.measurement.table import Columns
 from calib.robot.robot import Robot
+from calib.robot.urdf_writer import CountedZeros
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from calib.foundations.arrays import Array, BoolArray, IntArray
+from calib.foundations.arrays import Array, BoolArray, IntArray, evenly_spread
 from calib.foundations.errors import MeasurementError
 from calib.foundations.units import UNITS
 from calib.foundations.words import first_of, shown
@@ -92,8 +92,7 @@ def _trials_of(seen: Seen, pick: Pick, lengths: Sequence[str]) -> list[Trial]:
     robot = seen.robot(pick.arm)
     columns, point = _columns_of(seen, pick)
     numbers, rows = _numbers_and_rows(seen, pick)
-    if len(rows) > _MOST_ROWS:
-        rows = rows[np.linspace(0, len(rows) - 1, _MOST_ROWS).astype(np.intp)]
+    rows = rows[evenly_spread(len(rows), _MOST_ROWS)]
     if len(rows) < _FEWEST_TRIED or not of_dimension(point, "length"):
         return []
     found = []
@@ -349,33 +348,16 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
     if enough and not any(changes(seen.raw, k) for k in trials[0].point.columns):
         point = seen.titles(trials[0].point.columns)
         raise ask("columns", f"{where}: {point} never change, and nothing else is a point", (), "--column 'x=TITLE'")
-    if enough and not ((written or answered) and (pick.joints.exact or seen.answers.columns)):
-        parts = _parts_question(seen, trials)
-        if parts is not None:
-            raise parts
-        strayed = _strays_question(seen, trials)
-        if strayed is not None:
-            raise strayed
-        found, best = _mistake(seen, trials)
-        if found is not None and found.zeros is not None:
-            raise _other_zeros(seen, best, found)
-        if found is not None:
-            said, answer = found.finding.sentence, "a table or a URDF in which this is corrected"
-        else:
-            said = "is it this robot, and are signs, zeros and the order of joints those of the URDF?"
-            answer = "--column 'NAME [UNIT]=TITLE' for all joints, --angles and --lengths"
-        raise ask(
-            "columns",
-            f"{where}: no way to read the columns fits the arm: the best, {seen.titles(best.pick.joints.columns)} in "
-            f"{best.units[0]} and the point in {best.units[2]}, leaves {best.fit.share:.0%} of the spread of the "
-            f"points; {said}",
-            (),
-            answer,
-        )
     if enough:
+        told = (written or answered) and (pick.joints.exact or seen.answers.columns)
+        question = None if told else _parts_question(seen, trials) or _strays_question(seen, trials)
+        if question is not None:
+            raise question
         found, best = _mistake(seen, trials)
         if found is not None and found.zeros is not None:
             raise _other_zeros(seen, best, found)
+        if not told:
+            raise _no_way_fits(seen, best, found)
     angle, slide = units_by_limits(seen, pick)
     length = _length_by_reach(seen, pick, trials[0].point)
     for trial in trials:
@@ -387,6 +369,22 @@ def by_ranges(seen: Seen, trials: Sequence[Trial], picks: Sequence[Pick], enough
                 )
             return trial
     raise AssertionError("units come from the trials")
+
+
+def _no_way_fits(seen: Seen, best: Trial, found: Named | None) -> AskedError:
+    """Return the question of an arm that does not follow; ``found``: the mistake that explains it."""
+    said = "is it this robot, and are signs, zeros and the order of joints those of the URDF?"
+    answer = "--column 'NAME [UNIT]=TITLE' for all joints, --angles and --lengths"
+    if found is not None:
+        said, answer = found.finding.sentence, "a table or a URDF in which this is corrected"
+    return ask(
+        "columns",
+        f"{seen.raw.where}: no way to read the columns fits the arm: the best, "
+        f"{seen.titles(best.pick.joints.columns)} in {best.units[0]} and the point in {best.units[2]}, leaves "
+        f"{best.fit.share:.0%} of the spread of the points; {said}",
+        (),
+        answer,
+    )
 
 
 def _mistake(seen: Seen, trials: Sequence[Trial]) -> tuple[Named | None, Trial]:

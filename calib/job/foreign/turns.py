@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.foundations import rigid
-from calib.foundations.arrays import Array
+from calib.foundations.arrays import Array, evenly_spread
 from calib.foundations.errors import JobError
 from calib.foundations.units import DEG, UNITS
 from calib.identification.followed import FEWEST_ROWS, followed, turned_along
@@ -112,7 +112,7 @@ def _inverse_fit(seen: Seen, trial: Trial, one: Orientation) -> tuple[float, flo
     By what angle rows turn against each other tells most conventions apart, whatever base and tool are.
     """
     own = [seen.raw.columns[k] for k in one.columns]
-    few = np.linspace(0, len(trial.rows) - 1, min(len(trial.rows), _MOST_ROWS)).astype(np.intp)
+    few = evenly_spread(len(trial.rows), _MOST_ROWS)
     numbers = np.column_stack([values_of(column) for column in own])[trial.rows[few]]
     if len(few) < FEWEST_ROWS or not np.isfinite(numbers).all():
         return np.inf, np.inf
